@@ -9,6 +9,7 @@ use std::hint::black_box;
 use std::path::Path;
 use std::time::Instant;
 
+use arm::{Joints, READY};
 use memory_blob::MemoryFile;
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
@@ -44,19 +45,37 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             cycles.print(strategy, np);
         }
     }
-    markers()
+    markers()?;
+    arm()
 }
 
-/// What the size of markers costs: the scene with tags, the same measurements for a law that knows
-/// their size and one that takes them for points, in turn.
+/// What the size of markers costs: the scene with tags, for a law that knows their size and one that
+/// takes them for points.
 fn markers() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::parse(scene::TAGS_ROBOT, "tags-robot.toml")?;
     let starts = scene::parse_starts(scene::TAGS_ROBOT_STARTS, "tags-robot-starts.csv")?;
     let mut points = scene.clone();
     points.marker_size = 0.0;
-    println!(
-        "\ntags-robot, previous | Np | cycles | tags: p50 us | p99 us | points: p50 us | p99 us | ratio of a cycle, p50"
-    );
+    println!("\ntags-robot: tags beside points");
+    pairs([&scene, &points], &starts)
+}
+
+/// What an arm costs: the paper's robot scene, for a law that knows the Panda that carries the
+/// camera, ready at each start, and one of a free camera.
+fn arm() -> Result<(), Box<dyn std::error::Error>> {
+    let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../ipc/scene/scenes/s.toml");
+    let text = format!("arm = \"panda.toml\"\n{}", scene::PAPER_ROBOT);
+    let scene = Scene::parse(&text, beside)?;
+    let starts = scene::parse_starts(scene::PAPER_ROBOT_STARTS, "paper-robot-starts.csv")?;
+    let mut free = scene.clone();
+    free.arm = None;
+    println!("\npaper-robot: a known arm beside a free camera");
+    pairs([&scene, &free], &starts)
+}
+
+/// A cycle of the law of each of two scenes, on the same measurements, in turn.
+fn pairs(scenes: [&Scene; 2], starts: &[Pose]) -> Result<(), Box<dyn std::error::Error>> {
+    println!("Np | cycles | p50 us | p99 us | without: p50 us | p99 us | ratio of a cycle, p50");
     for np in [3, 30] {
         // As vpcd-robot.toml.
         let settings = Settings {
@@ -65,21 +84,20 @@ fn markers() -> Result<(), Box<dyn std::error::Error>> {
             step_s: 0.4,
             ..Settings::default()
         };
-        let mut laws = [
-            Law::new(&scene, settings, |len| vec![0.0; len])?,
-            Law::new(&points, settings, |len| vec![0.0; len])?,
-        ];
+        let law = |scene| Law::new(scene, settings, |len| vec![0.0; len]);
+        let mut laws = [law(scenes[0])?, law(scenes[1])?];
         let (mut times, mut ratios) = ([const { Vec::new() }; 2], Vec::new());
         for start in starts.iter().take(STARTS) {
-            let seen = seen(&scene, &mut laws[0], start);
+            let seen = seen(scenes[0], &mut laws[0], start);
             let mut medians = [const { Vec::new() }; 2];
             let mut passes = [const { Vec::new() }; 2];
             for _ in 0..REPLAYS {
                 for (law, passes) in laws.iter_mut().zip(&mut passes) {
                     law.reset();
-                    passes.push(Vec::from_iter(seen.iter().map(|measurement| {
+                    passes.push(Vec::from_iter(seen.iter().map(|seen| {
                         let begin = Instant::now();
-                        let _ = black_box(law.step(black_box(measurement), None));
+                        law.see_joints(&seen.q, 0);
+                        let _ = black_box(law.step(black_box(&seen.measurement), None));
                         begin.elapsed().as_secs_f64() * 1e6
                     })));
                 }
@@ -91,46 +109,62 @@ fn markers() -> Result<(), Box<dyn std::error::Error>> {
                 }
             }
             ratios.extend(medians[0].iter().zip(&medians[1]).map(|(a, b)| a / b));
-            let [tags, bare] = medians;
-            times[0].extend(tags);
-            times[1].extend(bare);
+            let [with, without] = medians;
+            times[0].extend(with);
+            times[1].extend(without);
         }
         let count = ratios.len();
-        let [tags, bare] = times
+        let [with, without] = times
             .each_mut()
             .map(|t| [0.5, 0.99].map(|p| quantile(t, p)));
         println!(
-            "                     | {np:>2} | {count:>6} | {:>12.1} | {:>6.1} | {:>14.1} | {:>6.1} | {:>.2}",
-            tags[0],
-            tags[1],
-            bare[0],
-            bare[1],
+            "{np:>2} | {count:>6} | {:>6.1} | {:>6.1} | {:>15.1} | {:>6.1} | {:>.2}",
+            with[0],
+            with[1],
+            without[0],
+            without[1],
             quantile(&mut ratios, 0.5),
         );
     }
     Ok(())
 }
 
+/// What a cycle has: the measurement, and the joints of an arm, rad.
+struct Seen {
+    measurement: Measurement,
+    q: Vec<f64>,
+}
+
 /// What an exact camera sees from a start until the law arrives or the scene's time is up.
-fn seen(scene: &Scene, law: &mut Law<Vec<f64>>, start: &Pose) -> Vec<Measurement> {
+fn seen(scene: &Scene, law: &mut Law<Vec<f64>>, start: &Pose) -> Vec<Seen> {
     law.reset();
     let mut points = placed(scene, start);
+    let arm = scene.arm.as_ref().map(vpc::arm::of);
+    let mut q = Joints::from(READY);
     let mut seen = Vec::new();
     for _ in 0..(scene.success.time_s * scene.camera.rate_hz) as usize {
         let Some(pixels) = pixels(scene, &points) else {
             break;
         };
         let measurement = Measurement::from_points(&pixels);
+        law.see_joints(q.as_slice(), 0);
         let step = law.step(&measurement, None);
-        seen.push(measurement);
+        seen.push(Seen {
+            measurement,
+            q: q.as_slice().to_vec(),
+        });
         let Some(step) = step
             .ok()
             .filter(|s| s.error_px > scene.success.convergence_px)
         else {
             break;
         };
-        let motion = Motion::of_camera(&step.twist, scene.sampling_time());
+        let period = scene.sampling_time();
+        let motion = Motion::of_camera(&step.twist, period);
         points.iter_mut().for_each(|x| *x = motion.apply(x));
+        if let Some(arm) = &arm {
+            q = arm.moved(&q, &step.twist, period);
+        }
     }
     seen
 }
