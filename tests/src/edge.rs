@@ -1,15 +1,16 @@
 //! Starts at the edge of what an arm can do: near the ends of its joints' ranges, and near singular
 //! postures.
 
-use arm::Joints;
+use arm::{Arm, Chain, Joints, ShaperSettings};
 use hw_sim::camera::project;
 use hw_sim::pose::{from_scene, to_scene};
 use hw_sim::referee::Referee;
-use hw_sim::robot::arm::ArmSettings;
-use nalgebra::Vector3;
-use rand::{RngExt, SeedableRng};
+use hw_sim::robot::arm::{ArmSettings, base_from_object};
+use nalgebra::{Point3, Vector3};
+use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
+use serde::Serialize;
 
 /// A joint of a start at an end is no further from it, rad.
 const END: f64 = 0.2;
@@ -27,6 +28,12 @@ pub enum Edge {
     Singular,
 }
 
+/// The index of joint 3.
+pub(crate) const ELBOW: usize = 2;
+/// Most steps of a try, and the longest, rad.
+const STEPS: usize = 60;
+const LONGEST: f64 = 0.3;
+
 /// A posture, and the object in its camera.
 #[derive(Clone, Copy, Debug)]
 pub struct Start {
@@ -36,6 +43,84 @@ pub struct Start {
     pub pose: Pose,
     /// What the posture is near to.
     pub edge: Edge,
+}
+
+/// Tries of the search for a posture at the goal.
+const TRIES: usize = 100;
+
+/// Whether some posture of an arm, within its margins, shows the goal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Goal {
+    /// One with joint 3 where it is at the start: the law and its bridges hold the elbow.
+    ElbowHeld,
+    /// Only others.
+    ElbowMoved,
+    /// The search found none.
+    Nowhere,
+}
+
+impl Goal {
+    /// By Newton steps from random postures, with joint 3 at `elbow`, rad, and without.
+    pub fn search(scene: &Scene, arm: &Arm, elbow: f64, random: &mut impl Rng) -> Self {
+        let camera = base_from_object() * from_scene(&scene.goal).inverse();
+        let mut finds = |elbow: Option<f64>| {
+            (0..TRIES).any(|_| {
+                let mut q = Joints::from_fn(|k, _| {
+                    let [least, most] = arm.limits.0[k].range;
+                    random.random_range(least..most)
+                });
+                q[ELBOW] = elbow.unwrap_or(q[ELBOW]);
+                solved(&arm.chain, q, &camera, elbow.is_some()).is_some_and(|q| is_within(arm, &q))
+            })
+        };
+        if finds(Some(elbow)) {
+            Self::ElbowHeld
+        } else if finds(None) {
+            Self::ElbowMoved
+        } else {
+            Self::Nowhere
+        }
+    }
+}
+
+/// The posture near `q` that brings the end of a chain to a pose, if the steps find one.
+fn solved(chain: &Chain, mut q: Joints, wanted: &arm::Pose, is_held: bool) -> Option<Joints> {
+    for _ in 0..STEPS {
+        let (at, mut jacobian) = chain.at(&q);
+        let apart = wanted.translation.vector - at.translation.vector;
+        let turn = (wanted.rotation * at.rotation.inverse()).scaled_axis();
+        let error = arm::Twist::new(apart.x, apart.y, apart.z, turn.x, turn.y, turn.z);
+        if error.norm() < 1e-9 {
+            return Some(q);
+        }
+        if is_held {
+            jacobian.column_mut(ELBOW).fill(0.0);
+        }
+        let step = arm::ik::inverse(&jacobian) * error;
+        q += step * (LONGEST / step.amax()).min(1.0);
+    }
+    None
+}
+
+/// Whether joints, singular postures and walls are as far away as the law keeps them.
+fn is_within(arm: &Arm, q: &Joints) -> bool {
+    let is_clear = |k: usize| {
+        arm.limits.0[k]
+            .room(q[k])
+            .iter()
+            .all(|room| *room >= arm.margin)
+    };
+    let shaper = ShaperSettings::default();
+    let strain = arm::singularity::strain(&arm.shaped, &arm.limits, &shaper, q);
+    let camera = arm.chain.pose(q);
+    let points = arm.points.iter().map(|point| camera * Point3::from(*point));
+    let is_free = |point: Point3<f64>| {
+        arm.walls
+            .iter()
+            .all(|wall| wall.distance(&point.coords) >= 0.0)
+    };
+    (0..arm.chain.count()).all(is_clear) && strain <= arm.strain && points.into_iter().all(is_free)
 }
 
 /// Postures from which the camera sees every point, near an end and near a singular posture in
@@ -87,7 +172,7 @@ fn edges(q: &Joints, settings: &ArmSettings) -> Vec<Edge> {
         .map(|(q, bound)| (q - bound.lower).min(bound.upper - q))
         .any(|room| room < END);
     let camera = settings.hand_eye.flange_from_camera();
-    let chain = arm::Chain::FRANKA.with_ee(camera);
+    let chain = Chain::FRANKA.with_ee(camera);
     let is_singular = least_singular_value(&chain, q) < SINGULAR;
     let all = [(Edge::End, is_end), (Edge::Singular, is_singular)];
     let near = all.into_iter().filter(|(_, is_near)| *is_near);
@@ -95,7 +180,7 @@ fn edges(q: &Joints, settings: &ArmSettings) -> Vec<Edge> {
 }
 
 /// The least singular value of the Jacobian, m and rad as they are.
-fn least_singular_value(chain: &arm::Chain, q: &Joints) -> f64 {
+fn least_singular_value(chain: &Chain, q: &Joints) -> f64 {
     let values = chain.jacobian(q).singular_values();
     values.iter().copied().fold(f64::INFINITY, f64::min)
 }
@@ -108,7 +193,7 @@ fn least_singular_value(chain: &arm::Chain, q: &Joints) -> f64 {
 /// parameters.
 #[derive(Clone, Debug)]
 pub struct ServoRule {
-    chain: arm::Chain,
+    chain: Chain,
     limits: &'static arm::Limits,
 }
 
@@ -126,7 +211,7 @@ impl ServoRule {
     pub fn new() -> Self {
         let camera = ArmSettings::default().hand_eye.flange_from_camera();
         Self {
-            chain: arm::Chain::FRANKA.with_ee(camera),
+            chain: Chain::FRANKA.with_ee(camera),
             limits: arm::Model::Panda.limits(),
         }
     }
@@ -195,7 +280,7 @@ mod tests {
             // The camera of this posture sees the object there.
             let chain = panda_chain(&settings);
             let camera = chain.pose(&start.q);
-            let object = camera.inverse() * hw_sim::robot::arm::base_from_object();
+            let object = camera.inverse() * base_from_object();
             let apart = object.translation.vector - Vector3::from(start.pose.translation);
             let turn =
                 object.rotation.inverse() * Rotation3::new(Vector3::from(start.pose.rotation));
@@ -203,8 +288,22 @@ mod tests {
         }
     }
 
-    fn panda_chain(settings: &ArmSettings) -> arm::Chain {
-        arm::Chain::FRANKA.with_ee(settings.hand_eye.flange_from_camera())
+    fn panda_chain(settings: &ArmSettings) -> Chain {
+        Chain::FRANKA.with_ee(settings.hand_eye.flange_from_camera())
+    }
+
+    #[test]
+    fn a_goal_is_found_where_an_arm_reaches_it() {
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let path = testkit::root().join("tests/scenes/reach.toml");
+        let scene = Scene::read(&path).unwrap();
+        let mut arm = vpc::arm::of(scene.arm.as_ref().unwrap());
+        let mut search = |arm: &Arm, elbow| Goal::search(&scene, arm, elbow, &mut random);
+        assert_eq!(search(&arm, 0.0), Goal::ElbowHeld);
+        assert_eq!(search(&arm, 1.3), Goal::ElbowMoved);
+        // Joint 4 as short of bending as the elbow's singular posture.
+        arm.limits.0[3].range[0] = -1.5;
+        assert_eq!(search(&arm, 0.0), Goal::Nowhere);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use messages::{CycleRecord, Features, Hold, TwistState};
 use scene::{Pose, Scene};
 use serde::Serialize;
 
-use crate::edge::ServoRule;
+use crate::edge::{Goal, ServoRule};
 use crate::run::way_point;
 use crate::simulated::Simulated;
 use crate::steering::Steering;
@@ -30,6 +30,9 @@ pub struct RobotRun {
     pub success: bool,
     /// Why not.
     pub reason: Option<Reason>,
+    /// At a start at the edge of what the arm can do: whether it can be at the goal.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub goal: Option<Goal>,
     /// Why the controller held the camera in the last cycle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hold: Option<String>,
@@ -198,6 +201,7 @@ pub fn run(
     Ok(RobotRun {
         success: reason.is_none() && arm.is_clean(),
         reason,
+        goal: None,
         hold,
         time_s: rig.progress().time_s,
         arrived_s: rig.progress().arrived_s,

@@ -16,7 +16,7 @@ use serde::Serialize;
 use vpc::Settings;
 
 use crate::column::{self, Column, Shown};
-use crate::edge::{self, ServoRule};
+use crate::edge::{self, Goal, ServoRule};
 use crate::flags::{Common, RobotFlags};
 use crate::processes::slowed;
 use crate::robot::{Course, Reason, RobotRun, run};
@@ -53,6 +53,9 @@ pub struct RobotRow {
     pub least_edge_px: Option<f64>,
     /// Share of the time in which the bridge slowed the camera down, all runs.
     pub slowed: f64,
+    /// At starts at the edge of what the arm can do: those whose goal the arm shows with the elbow
+    /// held, with another elbow only, and not at all; each with how many of them arrived.
+    pub goals: [[usize; 2]; 3],
     /// Largest shares of the joints' limits in any run: speed, acceleration, jerk.
     pub joint_shares: [f64; 3],
     /// The deepest that a point was inside an occlusion or outside the image at any of twelve
@@ -138,6 +141,7 @@ pub fn table(
         believed.arm = None;
     }
     let rule = flags.servo_rule.then(ServoRule::new);
+    let arm = scene.arm.as_ref().map(vpc::arm::of);
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {
@@ -153,7 +157,12 @@ pub fn table(
             };
             let run = run(scene, &cell, course, &mut daemon, pose);
             tick();
-            run.with_context(|| format!("start {start}"))
+            let mut run = run.with_context(|| format!("start {start}"))?;
+            run.goal = edge.zip(arm.as_ref()).map(|(edge, arm)| {
+                let mut random = ChaCha8Rng::seed_from_u64(start as u64);
+                Goal::search(scene, arm, edge.q[edge::ELBOW], &mut random)
+            });
+            Ok(run)
         };
         let runs: anyhow::Result<Vec<RobotRun>> =
             chosen.clone().into_par_iter().map(work).collect();
@@ -192,6 +201,10 @@ pub fn row(spec: Spec, runs: &[RobotRun], is_following: bool) -> RobotRow {
             .reduce(|a, b| [0, 1].map(|k| a[k].max(b[k]))),
         is_following,
         slowed: slowed(runs.iter().map(|run| &run.arm)),
+        goals: [Goal::ElbowHeld, Goal::ElbowMoved, Goal::Nowhere].map(|goal| {
+            let with = runs.iter().filter(|run| run.goal == Some(goal));
+            [with.clone().count(), with.filter(|run| run.success).count()]
+        }),
         joint_shares: [
             most(|run| run.arm.joint_velocity),
             most(|run| run.arm.joint_acceleration),
@@ -201,10 +214,11 @@ pub fn row(spec: Spec, runs: &[RobotRun], is_following: bool) -> RobotRow {
 }
 
 const IS_FOLLOWING: Shown<RobotRow> = |_, row| row.is_following;
+const HAS_GOALS: Shown<RobotRow> = |_, row| row.goals != [[0; 2]; 3];
 const IS_RELEASED: Shown<RobotRow> = |_, row| row.release.is_some();
 
 /// The columns in their order. A new figure is a field of [`RobotRow`] and a line here.
-pub const COLUMNS: [Column<RobotRow>; 16] = [
+pub const COLUMNS: [Column<RobotRow>; 17] = [
     Column::always("strategy", |row| row.strategy.clone()),
     Column::always("success", |row| {
         format!("{:.0} %", 100.0 * row.success_rate)
@@ -236,6 +250,14 @@ pub const COLUMNS: [Column<RobotRow>; 16] = [
         let figures = |[m_s, rad_s]: [f64; 2]| format!("{:.1}, {:.1}", 1e3 * m_s, 1e3 * rad_s);
         row.release.map_or("-".to_owned(), figures)
     }),
+    Column::when(
+        "arrive by goal: elbow held, moved, nowhere",
+        HAS_GOALS,
+        |row| {
+            let figures = row.goals.map(|[all, good]| format!("{good} of {all}"));
+            figures.join(", ")
+        },
+    ),
     Column::wide("limit violations", |row| row.limit_violations.to_string()),
     Column::wide("discontinuities", |row| row.discontinuities.to_string()),
     Column::wide("least clearance of an edge (px)", |row| {
