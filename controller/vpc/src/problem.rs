@@ -44,17 +44,26 @@ pub struct Problem<'a> {
 
 impl Problem<'_> {
     /// Least and greatest value of the k-th variable of a plan: inside the velocity limits, and no
-    /// further from the command in force than the acceleration limits allow until then.
+    /// further from the command in force than the acceleration limits allow until then. Where the
+    /// arm has room for a share of the accelerations only, the velocities take the same share, so
+    /// that no stop takes longer.
     pub fn bounds(&self, k: usize) -> [f64; 2] {
         let task = self.task;
         let [limit, most, standing] = [&task.limits, &task.acceleration, &self.standing]
             .map(|each| each.get(k % DOF).copied().unwrap_or(0.0));
         let standing = standing.clamp(-limit, limit);
-        let change = most * (self.interval + (k / DOF) as f64 * task.ts);
+        let seconds = self.interval + (k / DOF) as f64 * task.ts;
+        let change = self.ramps() * most * seconds;
+        let limit = limit.min((self.ramps() * limit).max(standing.abs() - change));
         [
             (standing - change).max(-limit),
             (standing + change).min(limit),
         ]
+    }
+
+    /// Share of the limits of acceleration that the arm has room for.
+    fn ramps(&self) -> f64 {
+        self.dampers.map_or(1.0, |dampers| dampers.ramps)
     }
 
     /// The command that brakes: the one in force, slowed down as a whole against the pattern, so
@@ -64,7 +73,7 @@ impl Problem<'_> {
         let mut relative = self.standing;
         let pairs = relative.iter_mut().zip(with);
         pairs.for_each(|(v, with)| *v -= with);
-        let stop_s = self.task.stop_s(&relative);
+        let stop_s = self.task.stop_s(&relative) / self.ramps();
         let left = (1.0 - self.interval / stop_s).max(0.0);
         let mut braking = with;
         if stop_s > self.interval {

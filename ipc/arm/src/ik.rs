@@ -17,6 +17,8 @@ use crate::ramp::Ramp;
 const SINGULAR: f64 = 0.01;
 /// The damping in a singularity, mixed units of the Jacobian.
 const DAMPING: f64 = 0.05;
+/// What keeps J J^T from being singular, its unit.
+const ROUNDING: f64 = 1e-8;
 /// The index of joint 3.
 const ELBOW: usize = 2;
 /// Rate at which joint 3 returns to its reference, 1/s.
@@ -45,11 +47,19 @@ pub fn inverse(jacobian: &Jacobian) -> Inverse {
 }
 
 /// (J J^T + damping)^-1; `None` for a Jacobian that is not finite.
-pub(crate) fn damped_square(jacobian: &Jacobian) -> Option<Matrix6<f64>> {
+fn damped_square(jacobian: &Jacobian) -> Option<Matrix6<f64>> {
     let square = jacobian * jacobian.transpose();
     let damping = damping(measure(&square));
-    let damped = square + Matrix6::identity() * (damping * damping);
-    Cholesky::new(damped).map(|f| f.inverse())
+    inverted(&square, damping * damping)
+}
+
+/// (J J^T)^-1, but for rounding; `None` for a Jacobian that is not finite.
+pub(crate) fn square(jacobian: &Jacobian) -> Option<Matrix6<f64>> {
+    inverted(&(jacobian * jacobian.transpose()), ROUNDING)
+}
+
+fn inverted(square: &Matrix6<f64>, more: f64) -> Option<Matrix6<f64>> {
+    Cholesky::new(square + Matrix6::identity() * more).map(|f| f.inverse())
 }
 
 /// Manipulability, from J J^T, m^3.
@@ -60,17 +70,6 @@ fn measure(square: &Matrix6<f64>) -> f64 {
 /// The damping at this manipulability.
 fn damping(measure: f64) -> f64 {
     (1.0 - measure / SINGULAR).max(0.0) * DAMPING
-}
-
-/// How the square of the damping changes with J: its derivative by each entry of J; `None` where
-/// nothing is damped.
-pub(crate) fn damping_slope(jacobian: &Jacobian) -> Option<Jacobian> {
-    let square = jacobian * jacobian.transpose();
-    let (measure, inverse) = (measure(&square), Cholesky::new(square)?.inverse());
-    let damping = damping(measure);
-    // The derivative of sqrt(det(J J^T)) by J is that times (J J^T)^-1 J.
-    let slope = inverse * jacobian * measure;
-    (damping > 0.0).then(|| slope * (-2.0 * damping * DAMPING / SINGULAR))
 }
 
 /// The same with the elbow of seven joints held: joint 3 stands, as far as the free direction turns

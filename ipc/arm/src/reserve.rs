@@ -12,9 +12,9 @@ use crate::singularity;
 /// Deceleration with which joints near the ends of their ranges, rad/s^2.
 const DECELERATION: f64 = 0.5;
 
-/// Speed at which joints may go on into the outer half of their margin, rad/s: to this a solver
-/// keeps a bound.
-const CREEP: f64 = 3e-4;
+/// Rate at which a joint may use up what is left of its margin, 1/s, so that it never reaches its
+/// end: a motion along the margin is curved, and is not stopped for that.
+const CREEP: f64 = 0.03;
 
 /// Distances and speeds that a bridge keeps to.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,7 +41,7 @@ impl Reserve {
         let clear = singularity::share(chain, limits, shaper, q, &dq);
         Room {
             joints: clear.min(self.share(limits, q, &dq)),
-            ramps: singularity::ramps(chain, limits, shaper, q),
+            ramps: singularity::ramps(singularity::strain(chain, limits, shaper, q)),
             ..Room::FULL
         }
     }
@@ -54,9 +54,7 @@ impl Reserve {
             let towards = usize::from(dq[k] > 0.0);
             let room = joint.room(q[k])[towards];
             let fastest = self.speed * joint.speeds(q[k])[towards];
-            // A motion along the margin is not stopped for a hair.
-            let creep = if room > 0.5 * self.margin { CREEP } else { 0.0 };
-            let near = nearing(room - self.margin, DECELERATION).max(creep);
+            let near = nearing(room - self.margin, DECELERATION).max(CREEP * room);
             part(dq[k], near.min(fastest))
         };
         (0..JOINTS).map(share).fold(1.0, f64::min)
@@ -99,9 +97,11 @@ mod tests {
     #[test]
     fn a_joint_slows_down_towards_its_margin_and_leaves_it_freely() {
         for model in [Model::Panda, Model::Fr3] {
-            assert_eq!(share(model, 0.15, 0.1), CREEP / 0.1);
-            assert!(share(model, 0.10, 0.1) == CREEP / 0.1);
-            assert_eq!(share(model, 0.07, 0.1), 0.0);
+            for room in [0.15, 0.10, 0.07] {
+                assert!((share(model, room, 0.1) - CREEP * room / 0.1).abs() < 1e-12);
+            }
+            assert_eq!(share(model, 0.0, 0.1), 0.0);
+            assert_eq!(share(model, -0.01, 0.1), 0.0);
             assert_eq!(share(model, 0.10, -0.1), 1.0);
             let speed = 0.5 * share(model, 0.15 + 0.01, 0.5);
             assert!(

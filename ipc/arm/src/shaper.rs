@@ -16,7 +16,7 @@ use crate::ramp::Ramp;
 const FASTEST: [f64; 2] = [1.7, 2.5];
 
 /// The least share of the ramps: without any there is no stop.
-const LEAST: f64 = 0.01;
+pub(crate) const LEAST: f64 = 0.01;
 
 /// Bounds of the shaped commands, each axis for itself.
 #[derive(Clone, Copy, Debug, PartialEq)]
