@@ -138,6 +138,32 @@ fn difference(jacobian: &Jacobian, judged: &[Vec<f64>; 6]) -> f64 {
     each.fold(0.0, f64::max)
 }
 
+/// The emulator has kinematics of its own.
+#[test]
+fn the_emulated_arm_of_a_file_is_where_the_laws_is() {
+    let (askew, tested) = (askew(), root().join("tests/arms"));
+    let files = ["ur5e.toml", "xarm6.toml"].map(|name| tested.join(name));
+    let mut random = ChaCha8Rng::seed_from_u64(34);
+    for file in files.into_iter().chain([askew.path("arm.toml")]) {
+        let (described, arm) = arm(&file);
+        let robot = hw_sim::robot::described::settings(&described).robot;
+        let camera = robot.model.chain(Pose::identity());
+        let end_effector = robot.model.chain(robot.flange_from_ee());
+        for _ in 0..POSTURES {
+            let q = Joints::from_fn(|k, _| match k < described.joints.len() {
+                true => random.random_range(-3.0..3.0),
+                false => 0.0,
+            });
+            let (emulated, (pose, jacobian)) = (camera.posture(&q), arm.chain.at(&q));
+            let apart = emulated.pose.to_homogeneous() - pose.to_homogeneous();
+            assert!(apart.amax() < EXACT, "{apart}");
+            assert!((emulated.jacobian - jacobian).amax() < EXACT);
+            let jacobian = end_effector.posture(&q).jacobian;
+            assert!((jacobian - arm.shaped.jacobian(&q)).amax() < EXACT);
+        }
+    }
+}
+
 /// A reading of the robot's interface.
 #[derive(Deserialize)]
 struct Reading {
