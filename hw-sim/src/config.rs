@@ -182,8 +182,7 @@ pub enum Body {
     Free,
     /// A Franka Panda behind its 1 kHz velocity interface.
     Panda,
-    /// The arm that the scene names, with its joints' limits. Its bridge does not slow it down for
-    /// them.
+    /// The arm that the scene names.
     Urdf,
 }
 
@@ -313,7 +312,7 @@ impl Config {
         if keys.camera == Sight::Rendered {
             let refuse = |allowed: &str| document.refuse("camera", "rendered", allowed.to_owned());
             if !keys.robot.is_robot() {
-                return Err(refuse("ideal; rendered with robot = \"panda\""));
+                return Err(refuse("ideal; rendered with robot = \"panda\" or \"urdf\""));
             }
             if scene.marker_size <= 0.0 {
                 return Err(refuse(

@@ -9,7 +9,6 @@ use serde::Deserialize;
 use toml_schema::{Document, FileError};
 use urdf_rs::{Joint, JointType};
 
-use crate::file::read_beside;
 use crate::model::{Arm, ArmJoint, MAX_JOINTS, MAX_WALL_POINTS, MAX_WALLS, Wall};
 
 /// Largest number of an origin, m and rad; a NaN is none.
@@ -107,17 +106,6 @@ fn strain() -> f64 {
 /// Returns the JSON Schema of an arm file.
 pub fn schema() -> serde_json::Value {
     toml_schema::schema::<Tables>()
-}
-
-impl Arm {
-    /// Reads an arm file, for a scene that names none.
-    ///
-    /// # Errors
-    /// [`FileError`] names the file, the key, the value and what is allowed.
-    pub fn read(path: &Path) -> Result<Self, FileError> {
-        let name = path.display().to_string();
-        parse(&name, Path::new(""), &|name| read_beside(Path::new(name)))
-    }
 }
 
 /// Checks an arm file; `name` and `directory` are how the scene calls it and where the scene is,

@@ -124,8 +124,7 @@ enum Body {
     Free,
     /// A Franka Emika Panda; frames are delayed.
     Panda,
-    /// The arm of --arm or of the scene, with its joints' limits, for which its bridge does not slow
-    /// it down.
+    /// The arm of --arm or of the scene; its bridge does not slow it down for its joints.
     Urdf,
     /// The same as panda in real time, with vpcd, vpc-panda and hw-sim as processes: the bridge speaks the
     /// vendor's protocol.
