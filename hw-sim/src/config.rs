@@ -17,6 +17,7 @@ use crate::motion::{HELP, Motion, MotionKeys};
 use crate::rig::RigSettings;
 use crate::robot::calibration::HandEye;
 use crate::robot::control_unit::FciSettings;
+use crate::robot::described;
 use crate::robot::truth::Truth;
 use crate::sensor::Flaws;
 
@@ -48,7 +49,7 @@ pub struct Arguments {
     /// Print each verdict as a JSON line also where standard output is a terminal.
     #[arg(long)]
     pub json: bool,
-    /// Panda: send the 30 Hz staircase to the robot as it is, to see what it says.
+    /// Robot: send the 30 Hz staircase to the robot as it is, to see what it says.
     #[arg(long)]
     pub unshaped: bool,
 }
@@ -84,7 +85,7 @@ pub struct Keys {
     #[arg(long = "noise", default_value_t = 0.0)]
     #[schemars(range(min = 0, max = 100), extend("x-unit" = "px"))]
     pub noise_px: f64,
-    /// Frames between exposure and delivery; not with the Panda.
+    /// Frames between exposure and delivery; not with a robot.
     #[arg(long = "delay", default_value_t = 0)]
     #[schemars(range(min = 0, max = 100), extend("x-unit" = "frames"))]
     pub delay_frames: u32,
@@ -119,30 +120,30 @@ pub struct Keys {
     /// What carries the camera.
     #[arg(long, value_enum, default_value_t)]
     pub robot: Body,
-    /// Panda: what the camera sends.
+    /// Robot: what the camera sends.
     #[arg(long, value_enum, default_value_t)]
     pub camera: Sight,
-    /// Panda: time from the middle of an exposure to its delivery.
+    /// Robot: time from the middle of an exposure to its delivery.
     #[arg(long, default_value_t = 110.0)]
     #[schemars(range(min = 0, max = 900), extend("x-unit" = "ms"))]
     pub latency_ms: f64,
-    /// Panda: deviation of the latency to either side; at most the latency.
+    /// Robot: deviation of the latency to either side; at most the latency.
     #[arg(long, default_value_t = 0.0)]
     #[schemars(range(min = 0, max = 900), extend("x-unit" = "ms"))]
     pub jitter_ms: f64,
-    /// Panda: exposure of a row.
+    /// Robot: exposure of a row.
     #[arg(long, default_value_t = 6.0)]
     #[schemars(range(min = 0, max = 33), extend("x-unit" = "ms"))]
     pub exposure_ms: f64,
-    /// Panda: time from the first row to the last of a rolling shutter, when rendered.
+    /// Robot: time from the first row to the last of a rolling shutter, when rendered.
     #[arg(long, default_value_t = 15.0)]
     #[schemars(range(min = 0, max = 33), extend("x-unit" = "ms"))]
     pub readout_ms: f64,
-    /// Panda: time at the goal before the release.
+    /// Robot: time at the goal before the release.
     #[arg(long, default_value_t = 0.5)]
     #[schemars(range(min = 0, max = 60), extend("x-unit" = "s"))]
     pub dwell_s: f64,
-    /// Panda: distance of the retreat.
+    /// Robot: distance of the retreat.
     #[arg(long, default_value_t = 0.04)]
     #[schemars(range(min = 0, max = 0.3), extend("x-unit" = "m"))]
     pub retreat_m: f64,
@@ -181,6 +182,15 @@ pub enum Body {
     Free,
     /// A Franka Panda behind its 1 kHz velocity interface.
     Panda,
+    /// The arm that the scene names.
+    Urdf,
+}
+
+impl Body {
+    /// Whether a robot carries the camera.
+    pub fn is_robot(self) -> bool {
+        self != Self::Free
+    }
 }
 
 /// What paces the frames.
@@ -301,8 +311,8 @@ impl Config {
         }
         if keys.camera == Sight::Rendered {
             let refuse = |allowed: &str| document.refuse("camera", "rendered", allowed.to_owned());
-            if keys.robot != Body::Panda {
-                return Err(refuse("ideal; rendered with robot = \"panda\""));
+            if !keys.robot.is_robot() {
+                return Err(refuse("ideal; rendered with robot = \"panda\" or \"urdf\""));
             }
             if scene.marker_size <= 0.0 {
                 return Err(refuse(
@@ -315,13 +325,13 @@ impl Config {
             let found = format!("{:?}", keys.truth.distortion);
             return Err(document.refuse("truth.distortion", found, allowed));
         }
-        if keys.robot == Body::Panda && keys.delay_frames > 0 {
-            let allowed = "0 with robot = \"panda\", whose camera has latency_ms";
+        if keys.robot.is_robot() && keys.delay_frames > 0 {
+            let allowed = "0 with a robot, whose camera has latency_ms";
             return Err(document.refuse("delay_frames", keys.delay_frames, allowed));
         }
         for (key, value) in [("hide", keys.hide), ("blackout_s", keys.blackout_s)] {
-            if keys.robot == Body::Panda && value > 0.0 {
-                return Err(document.refuse(key, value, "0 with robot = \"panda\""));
+            if keys.robot.is_robot() && value > 0.0 {
+                return Err(document.refuse(key, value, "0 with a robot"));
             }
         }
         for (index, motion) in keys.motion.iter().enumerate() {
@@ -343,7 +353,19 @@ impl Config {
         let ns = |ms: f64| (ms * 1e6).round() as u64;
         rig.sequence.dwell_ns = ns(keys.dwell_s * 1e3);
         rig.sequence.retreat_m = keys.retreat_m;
-        rig.arm.hand_eye = keys.hand_eye;
+        match (keys.robot, &scene.arm) {
+            (Body::Urdf, None) => {
+                let allowed = "urdf with a scene whose key `arm` names one";
+                return Err(document.refuse("robot", "urdf", allowed));
+            }
+            (Body::Urdf, Some(_)) if keys.hand_eye != HandEye::default() => {
+                let allowed = "none with robot = \"urdf\": the arm file has the camera";
+                let found = format!("{:?}", keys.hand_eye);
+                return Err(document.refuse("hand_eye", found, allowed));
+            }
+            (Body::Urdf, Some(arm)) => rig.arm = described::settings(arm),
+            _ => rig.arm.hand_eye = keys.hand_eye,
+        }
         rig.arm.truth = keys.truth;
         rig.arm.fci = fci;
         if fci.is_some_and(|fci| fci.version == Version::V10) {
@@ -494,6 +516,7 @@ mod tests {
             ("speed = 1", ["speed", "unknown field", "delay_frames"]),
             ("clock = \"slow\"", ["clock", "slow", "lockstep"]),
             ("robot = \"kuka\"", ["robot", "kuka", "panda"]),
+            ("robot = \"urdf\"", ["robot", "urdf", "`arm`"]),
             ("latency_ms = 1e4", ["latency_ms", "10000", "0 to 900"]),
             ("jitter_ms = 111.0", ["jitter_ms", "111", "0 to 110"]),
             (
@@ -535,11 +558,11 @@ mod tests {
             ("follow_s = -1.0", ["follow_s", "-1", "0 to 3600 s"]),
             (
                 "robot = \"panda\"\nhide = 0.3",
-                ["hide", "0.3", "0 with robot"],
+                ["hide", "0.3", "0 with a robot"],
             ),
             (
                 "robot = \"panda\"\nblackout_s = 0.5",
-                ["blackout_s", "0.5", "0 with robot"],
+                ["blackout_s", "0.5", "0 with a robot"],
             ),
             (
                 "robot = \"panda\"\ndelay_frames = 3",

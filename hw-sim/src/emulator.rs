@@ -169,7 +169,7 @@ impl<'a> Session<'a> {
                 let cell = FreeCell::new(scene, start, *flaws, limit_s);
                 Box::new(cell.follow(motion, follow_s))
             }
-            Body::Panda => {
+            Body::Panda | Body::Urdf => {
                 let mut settings = self.config.rig;
                 if is_resting {
                     settings.sequence.dwell_ns = u64::MAX;
@@ -197,7 +197,7 @@ impl<'a> Session<'a> {
                 self.ports.what(),
                 self.config.domain.display()
             );
-            if self.config.robot == Body::Panda {
+            if self.config.robot.is_robot() {
                 // Where it is not permitted, milliseconds begin later: the outcome's lateness.
                 let _ = program::take_fifo(PRIORITY);
             }
@@ -312,7 +312,7 @@ impl<'a> Session<'a> {
             data_ns: shot.stamp_ns,
         };
         let exposure_ns = match self.config.robot {
-            Body::Panda => self.config.rig.eye.exposure_ns,
+            Body::Panda | Body::Urdf => self.config.rig.eye.exposure_ns,
             Body::Free => 0,
         };
         let sent = self.ports.send(shot, stamp, exposure_ns)?;

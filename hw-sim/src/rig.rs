@@ -341,7 +341,13 @@ impl Cell for Rig {
         let now_ns = self.now_ns();
         let mut state = cell::state(&self.progress, &object, now_ns, self.is_stale(), limited);
         state.twist = self.arm.camera_twist();
-        state::add_arm(&mut state, self.arm.state(), self.obeys_controller());
+        let joints = self.settings.arm.robot.model.frames().count;
+        state::add_arm(
+            &mut state,
+            self.arm.state(),
+            joints,
+            self.obeys_controller(),
+        );
         state
     }
 

@@ -1,5 +1,7 @@
 //! Flags of `cargo table`.
 
+use std::path::PathBuf;
+
 use clap::error::ErrorKind;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use hw_sim::motion::{HELP, Motion, MotionKeys};
@@ -200,6 +202,9 @@ pub struct RobotFlags {
     /// condition number, and stops at the joints' ends.
     #[arg(long)]
     pub servo_rule: bool,
+    /// Arm file, in place of the scene's: the law is told of it, and `--robot urdf` is such a robot.
+    #[arg(long, value_name = "FILE")]
+    pub arm: Option<PathBuf>,
     /// Tell the law of no arm, although the scene has one.
     #[arg(long)]
     pub ignore_arm: bool,

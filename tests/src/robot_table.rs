@@ -1,9 +1,10 @@
-//! `cargo table -- --robot panda`: strategies on the same starts against the emulated robot, in
+//! `cargo table -- --robot panda` or `urdf`: strategies on the same starts against the emulated robot, in
 //! simulated time.
 
 use anyhow::Context;
 use hw_sim::following::FollowingReport;
 use hw_sim::rig::RigSettings;
+use hw_sim::robot::arm::ArmSettings;
 use hw_sim::robot::truth::Truth;
 use memory_blob::MemoryFile;
 use messages::ClockMode;
@@ -85,8 +86,15 @@ fn law(flags: &RobotFlags, base: Settings) -> Settings {
 }
 
 /// The cell for one start.
-fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> RigSettings {
+fn cell(
+    scene: &Scene,
+    arm: &ArmSettings,
+    flags: &RobotFlags,
+    common: &Common,
+    start: usize,
+) -> RigSettings {
     let mut settings = RigSettings::new(scene);
+    settings.arm = *arm;
     let seed = common.seed.wrapping_add(start as u64);
     // Directions of calibration errors: of each start's own, the same for every size.
     let mut random = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed);
@@ -119,7 +127,7 @@ fn cell(scene: &Scene, flags: &RobotFlags, common: &Common, start: usize) -> Rig
 /// # Errors
 /// A start out of reach, a setting out of its range.
 pub fn table(
-    scene: &Scene,
+    (scene, arm): (&Scene, &ArmSettings),
     starts: &[Pose],
     memory: Option<&MemoryFile>,
     flags: &RobotFlags,
@@ -146,7 +154,7 @@ pub fn table(
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {
             let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
-            let mut cell = cell(scene, flags, common, start);
+            let mut cell = cell(scene, arm, flags, common, start);
             let edge = edges.get(start);
             cell.arm.joints = edge.map(|edge| edge.q).or(cell.arm.joints);
             let pose = edge.map_or(&starts[start], |edge| &edge.pose);
@@ -272,3 +280,42 @@ pub const COLUMNS: [Column<RobotRow>; 17] = [
         format!("{:.2}", 100.0 * row.slowed)
     }),
 ];
+
+#[cfg(test)]
+mod tests {
+    use hw_sim::robot::described;
+    use scene::{Arm, parse_starts};
+
+    use super::*;
+    use crate::flags::defaults;
+
+    #[test]
+    fn a_law_that_knows_the_arm_of_a_file_arrives_with_it_within_all_its_limits() {
+        let scenes = crate::root().join("tests/scenes");
+        let mut scene = Scene::read(&scenes.join("ur5e.toml")).unwrap();
+        let starts = parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
+        let starts: Vec<Pose> = starts.into_iter().step_by(20).collect();
+        let common = Common {
+            strategies: vec!["previous:3".parse().unwrap()],
+            ..defaults()
+        };
+        for file in ["ur5e.toml", "xarm6.toml"] {
+            let arm = Arm::read(&crate::root().join("tests/arms").join(file)).unwrap();
+            let robot = described::settings(&arm);
+            scene.arm = Some(arm);
+            let all = table(
+                (&scene, &robot),
+                &starts,
+                None,
+                &defaults(),
+                &common,
+                &|| (),
+            );
+            let (spec, runs) = all.unwrap().remove(0);
+            let row = row(spec, &runs, false);
+            assert_eq!(row.success_rate, 1.0, "{file}: {row:?}");
+            assert_eq!((row.reflexes, row.limit_violations), (0, 0), "{file}");
+            assert!(row.joint_shares[0] > 0.01, "{file}: {row:?}");
+        }
+    }
+}

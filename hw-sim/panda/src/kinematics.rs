@@ -1,4 +1,4 @@
-//! Forward kinematics of the arm, and its Jacobian.
+//! Forward kinematics of an arm, and its Jacobian.
 //!
 //! Frames: O the base; F the flange; EE the end effector, fixed to the flange. Source: Franka
 //! Emika, "Robot and interface specifications", table of DH parameters (Craig's convention).
@@ -67,9 +67,66 @@ pub const READY: [f64; JOINTS] = [
     FRAC_PI_4,
 ];
 
+/// A joint's frame in that of the joint before it, where it stands at zero; it turns about its z
+/// axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    /// From its axes to those of the joint before.
+    pub rotation: Matrix3<f64>,
+    /// Its origin, m.
+    pub origin: Vector3<f64>,
+    /// Whether it slides along its z axis instead; m in place of rad then.
+    pub slides: bool,
+}
+
+impl Frame {
+    const fn of(link: &Link) -> Self {
+        let (cos, sin) = (link.cos, link.sin);
+        Self {
+            rotation: Matrix3::new(1.0, 0.0, 0.0, 0.0, cos, -sin, 0.0, sin, cos),
+            origin: Vector3::new(link.a, -sin * link.d, cos * link.d),
+            slides: false,
+        }
+    }
+}
+
+/// The frames of an arm, base to flange.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frames {
+    /// Of its joints; those of joints that it does not have mean nothing.
+    pub joints: [Frame; JOINTS],
+    /// How many joints it has, 6 or 7.
+    pub count: usize,
+    /// The flange in the frame of the last joint.
+    pub flange: Pose,
+}
+
+/// A Franka robot.
+pub(crate) static FRANKA: Frames = Frames {
+    joints: [
+        Frame::of(&LINKS[0]),
+        Frame::of(&LINKS[1]),
+        Frame::of(&LINKS[2]),
+        Frame::of(&LINKS[3]),
+        Frame::of(&LINKS[4]),
+        Frame::of(&LINKS[5]),
+        Frame::of(&LINKS[6]),
+    ],
+    count: JOINTS,
+    flange: Pose {
+        rotation: Rotation3::from_matrix_unchecked(Matrix3::new(
+            1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0,
+        )),
+        translation: Translation3 {
+            vector: Vector3::new(0.0, 0.0, FLANGE),
+        },
+    },
+};
+
 /// The arm as a chain of frames from the base to the end effector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Chain {
+    frames: &'static Frames,
     flange_from_ee: Pose,
 }
 
@@ -83,16 +140,34 @@ pub struct Posture {
 }
 
 impl Default for Chain {
-    /// The end effector is the flange.
+    /// A Franka robot; the end effector is the flange.
     fn default() -> Self {
         Self::new(Pose::identity())
     }
 }
 
 impl Chain {
-    /// An arm with this end effector in its flange (F_T_EE).
+    /// A Franka robot with this end effector in its flange (F_T_EE).
     pub const fn new(flange_from_ee: Pose) -> Self {
-        Self { flange_from_ee }
+        Self::of(&FRANKA, flange_from_ee)
+    }
+
+    /// An arm with this end effector in its flange (F_T_EE).
+    pub const fn of(frames: &'static Frames, flange_from_ee: Pose) -> Self {
+        Self {
+            frames,
+            flange_from_ee,
+        }
+    }
+
+    /// How many joints it has; further entries of [`Joints`] are zero.
+    pub(crate) fn count(&self) -> usize {
+        self.frames.count
+    }
+
+    /// Whether it is a Franka robot.
+    pub(crate) fn is_franka(&self) -> bool {
+        std::ptr::eq(self.frames, &raw const FRANKA)
     }
 
     /// O_T_F, the flange in the base.
@@ -115,13 +190,16 @@ impl Chain {
         });
         let pose = flange * self.flange_from_ee;
         let mut jacobian = Jacobian::zeros();
-        for joint in 0..JOINTS {
-            let lever = pose.translation.vector - origins[joint];
-            let linear = axes[joint].cross(&lever);
-            jacobian.fixed_view_mut::<3, 1>(0, joint).copy_from(&linear);
-            jacobian
-                .fixed_view_mut::<3, 1>(3, joint)
-                .copy_from(&axes[joint]);
+        for joint in 0..self.frames.count {
+            let axis = axes[joint];
+            let column = match self.frames.joints[joint].slides {
+                true => join(&axis, &Vector3::zeros()),
+                false => join(
+                    &axis.cross(&(pose.translation.vector - origins[joint])),
+                    &axis,
+                ),
+            };
+            jacobian.set_column(joint, &column);
         }
         Posture { pose, jacobian }
     }
@@ -135,26 +213,27 @@ impl Chain {
     ) -> Pose {
         let mut rotation = Matrix3::identity();
         let mut origin = Vector3::zeros();
-        for (joint, link) in LINKS.iter().enumerate() {
-            let (s, c) = q[joint].sin_cos();
-            origin += rotation * Vector3::new(link.a, -link.sin * link.d, link.cos * link.d);
-            rotation *= Matrix3::new(
-                c,
-                -s,
-                0.0,
-                s * link.cos,
-                c * link.cos,
-                -link.sin,
-                s * link.sin,
-                c * link.sin,
-                link.cos,
-            );
+        let Frames {
+            joints,
+            count,
+            flange,
+        } = self.frames;
+        for (joint, frame) in joints.iter().enumerate().take(*count) {
+            origin += rotation * frame.origin;
+            if frame.slides {
+                rotation *= frame.rotation;
+                origin += rotation.column(2) * q[joint];
+            } else {
+                let (s, c) = q[joint].sin_cos();
+                let turn = Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0);
+                rotation *= frame.rotation * turn;
+            }
             show(joint, &rotation, &origin);
         }
-        origin += rotation.column(2) * FLANGE;
+        origin += rotation * flange.translation.vector;
         Pose::from_parts(
             Translation3::from(origin),
-            Rotation3::from_matrix_unchecked(rotation),
+            Rotation3::from_matrix_unchecked(rotation * flange.rotation.matrix()),
         )
     }
 }

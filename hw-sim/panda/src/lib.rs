@@ -20,7 +20,7 @@ pub mod state;
 pub use errors::{Errors, Flag};
 pub use interface::{Command, Motion, MotionKind};
 pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Twist};
-pub use limits::{Limits, Model};
+pub use limits::{Described, Limits, Model};
 pub use mode::{Mode, RequestError};
 pub use placement::{DriveError, PlacementError, drive, place};
 pub use robot::Robot;

@@ -8,7 +8,7 @@ use std::fmt;
 
 use nalgebra::Vector3;
 
-use crate::kinematics::{JOINTS, Joints, Twist, split};
+use crate::kinematics::{Chain, FRANKA, Frames, JOINTS, Joints, Pose, Twist, split};
 
 /// Period of the interface, s.
 pub const PERIOD: f64 = 1e-3;
@@ -16,14 +16,25 @@ pub const PERIOD: f64 = 1e-3;
 /// Room for rounding: differences of differences at 1 kHz lose about nine digits of the sixteen.
 const ROUNDING: f64 = 1.0 + 1e-6;
 
-/// A robot; all have the same kinematics.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// A robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Model {
     /// Franka Emika Robot, "Panda"; version 5 of the interface.
     #[default]
     Panda,
-    /// Franka Research 3; version 10 of the interface.
+    /// Franka Research 3, with the kinematics of a Panda; version 10 of the interface.
     Fr3,
+    /// Another arm, without limits of its end effector.
+    Other(&'static Described),
+}
+
+/// An arm that a file describes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Described {
+    /// Its joints.
+    pub frames: Frames,
+    /// Its limits.
+    pub limits: Limits,
 }
 
 impl Model {
@@ -32,7 +43,21 @@ impl Model {
         match self {
             Self::Panda => &PANDA,
             Self::Fr3 => &FR3,
+            Self::Other(it) => &it.limits,
         }
+    }
+
+    /// Its joints.
+    pub const fn frames(self) -> &'static Frames {
+        match self {
+            Self::Panda | Self::Fr3 => &FRANKA,
+            Self::Other(it) => &it.frames,
+        }
+    }
+
+    /// Its chain to this end effector in its flange (F_T_EE).
+    pub const fn chain(self, flange_from_ee: Pose) -> Chain {
+        Chain::of(self.frames(), flange_from_ee)
     }
 }
 
@@ -41,6 +66,7 @@ impl fmt::Display for Model {
         f.write_str(match self {
             Self::Panda => "panda",
             Self::Fr3 => "fr3",
+            Self::Other(_) => "urdf",
         })
     }
 }
@@ -55,6 +81,29 @@ pub struct Limits {
     /// Of the joints, base to flange.
     pub joints: [JointBounds; JOINTS],
 }
+
+impl Limits {
+    /// Those of an arm of which only the joints' are known: range, velocity and acceleration, rad
+    /// or m. A joint may turn its acceleration round within a period.
+    pub fn of_joints(joints: impl Iterator<Item = ([f64; 2], f64, f64)>) -> Self {
+        // Joints that the arm does not have stand at zero.
+        let mut all = [joint(-TURNLESS, TURNLESS, 1.0, 1.0, 1e3); JOINTS];
+        for (to, ([lower, upper], velocity, acceleration)) in all.iter_mut().zip(joints) {
+            let (lower, upper) = (lower.max(-TURNLESS), upper.min(TURNLESS));
+            let jerk = 2.0 * acceleration / PERIOD;
+            *to = joint(lower, upper, velocity, acceleration, jerk);
+        }
+        let none = bounds(f64::INFINITY, f64::INFINITY, f64::INFINITY);
+        Self {
+            translation: none,
+            rotation: none,
+            joints: all,
+        }
+    }
+}
+
+/// The end of a range that has none, rad.
+const TURNLESS: f64 = 1e4;
 
 /// Bounds on a velocity and its first two derivatives.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,7 @@
 //! every run. Of the solutions, the one furthest from the joints' limits is taken. [`drive`]: along a
 //! path from where the arm stands, as a robot gets there.
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, PI};
 
 use nalgebra::{Cholesky, Matrix6, Rotation3};
 use thiserror::Error;
@@ -21,6 +21,9 @@ const FOUND: f64 = 1e-10;
 const STRIDE: f64 = 0.4;
 /// Room that a solution keeps from the ends of the joints' ranges, rad.
 const ROOM: f64 = 0.05;
+
+/// Postures that iterations begin from for an arm that is not Franka's.
+const SPREAD: u32 = 64;
 
 /// The longest step of a path, m and rad.
 const STEP: f64 = 0.01;
@@ -50,7 +53,11 @@ pub struct PlacementError {
 pub fn place(chain: &Chain, limits: &Limits, wanted: &Pose) -> Result<Joints, PlacementError> {
     let mut best: Option<(f64, Joints)> = None;
     let mut nearest = f64::INFINITY;
-    for seed in seeds(wanted) {
+    let seeds: Vec<Joints> = match chain.is_franka() {
+        true => seeds(wanted).collect(),
+        false => spread(chain, limits).collect(),
+    };
+    for seed in seeds {
         let (q, error) = descend(chain, limits, wanted, inside(&seed, limits));
         nearest = nearest.min(error);
         if error < FOUND {
@@ -164,6 +171,25 @@ fn seeds(wanted: &Pose) -> impl Iterator<Item = Joints> {
             q[2] = elbow;
             q[6] += wrist;
             q
+        })
+    })
+}
+
+/// Postures of any arm: within half a turn of the middles of its ranges, spread evenly (R. Roberts'
+/// additive recurrence).
+fn spread(chain: &Chain, limits: &Limits) -> impl Iterator<Item = Joints> {
+    // The root of x^8 = x + 1.
+    const ROOT: f64 = 1.096_981_557_798_559_8;
+    let count = chain.count();
+    (1..=SPREAD).map(move |number| {
+        Joints::from_fn(|k, _| {
+            if k >= count {
+                return 0.0;
+            }
+            let bound = &limits.joints[k];
+            let share = (f64::from(number) / ROOT.powi(k as i32 + 1)).fract() - 0.5;
+            let width = (bound.upper - bound.lower).min(2.0 * PI);
+            0.5 * (bound.lower + bound.upper) + share * width
         })
     })
 }

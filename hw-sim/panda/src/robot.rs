@@ -36,7 +36,7 @@ impl Robot {
     /// A joint outside its range.
     pub fn new(settings: RobotSettings, q: Joints) -> Result<Self, RobotError> {
         check(&q, settings.model.limits())?;
-        let chain = Chain::new(settings.flange_from_ee());
+        let chain = settings.model.chain(settings.flange_from_ee());
         let mut robot = Self {
             settings,
             chain,
@@ -79,7 +79,7 @@ impl Robot {
             return Err(RequestError::Moving { mode: self.mode });
         }
         self.settings.ne_from_ee = ne_from_ee;
-        self.chain = Chain::new(self.settings.flange_from_ee());
+        self.chain = self.model().chain(self.settings.flange_from_ee());
         self.report();
         Ok(())
     }

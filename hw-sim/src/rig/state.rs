@@ -1,13 +1,13 @@
 //! What an arm adds to the state of the cell.
 
 use messages::{RobotFaults, RobotMode, RobotState};
-use panda::{Flag, JOINTS, Mode, State};
+use panda::{Flag, Mode, State};
 
 use crate::cell::raise;
 
-/// Adds the robot's own state; the sequence may move the robot by itself.
-pub(crate) fn add_arm(state: &mut RobotState, told: &State, obeys_controller: bool) {
-    state.joints = JOINTS as u32;
+/// Adds the own state of a robot of so many joints; the sequence may move the robot by itself.
+pub(crate) fn add_arm(state: &mut RobotState, told: &State, joints: usize, obeys_controller: bool) {
+    state.joints = joints as u32;
     (state.q, state.dq) = (told.q.into(), told.dq.into());
     state.commands_in_time = told.control_command_success_rate;
     if !obeys_controller {

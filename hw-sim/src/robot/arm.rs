@@ -1,4 +1,4 @@
-//! The arm: a Panda that carries the camera over an object that lies still on the table.
+//! The arm: a robot that carries the camera over an object that lies still on the table.
 
 use std::io;
 use std::net::SocketAddr;
@@ -10,7 +10,7 @@ use panda::{
 };
 use scene::Scene;
 
-use super::bridge::{Bridge, Caps, ShaperError, bridge};
+use super::bridge::{Bridge, Caps, ShaperError, bridge, ramps};
 use super::calibration::HandEye;
 use super::control_unit::{ControlUnit, FciSettings};
 use super::inspector::Inspector;
@@ -55,7 +55,7 @@ impl ArmSettings {
         let camera = base_from_object() * from_scene(&self.truth.start(start)).inverse();
         let flange_from_ee = self.robot.flange_from_ee();
         let wanted = camera * flange_from_camera.inverse() * flange_from_ee;
-        (Chain::new(flange_from_ee), wanted)
+        (self.robot.model.chain(flange_from_ee), wanted)
     }
 
     /// The joint positions of an arm that is driven from others to where its camera sees the object
@@ -108,7 +108,7 @@ pub enum ArmError {
     Motion(RequestError),
 }
 
-/// A Panda with its bridge, stepped once a millisecond.
+/// A robot with its bridge, stepped once a millisecond.
 #[derive(Debug)]
 pub struct Arm {
     /// From camera twists to commands of the robot, which it holds.
@@ -152,10 +152,11 @@ impl Arm {
                 .start(MotionKind::Cartesian)
                 .map_err(ArmError::Motion)?;
         }
+        let ramps = (settings.is_shaped).then(|| ramps(settings.robot.model, scene));
         Ok(Self {
             control_unit,
             inspector: Inspector::new(robot.state(), robot.limits()),
-            bridge: bridge(robot, believed, settings.is_shaped)?,
+            bridge: bridge(robot, believed, ramps)?,
             caps: Caps::axes(scene.limits.velocity()),
             flange_from_camera: settings.truth.flange_from_camera(&believed),
             base_from_object: base_from_object(),

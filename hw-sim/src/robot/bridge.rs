@@ -3,6 +3,7 @@
 
 use arm::{Chain, Driver, Echo, Limits, Measured, Mount, Ramp, Reserve, Room, ShaperSettings};
 use panda::{Command, Model, Motion, Pose, Robot, Twist};
+use scene::Scene;
 
 pub use arm::{Caps, ShaperError};
 
@@ -34,29 +35,42 @@ pub type Bridge = arm::Bridge<Emulated>;
 pub struct Emulated {
     /// The robot.
     pub robot: Robot,
-    limits: &'static Limits,
+    /// `None` where the bridge does not know the joints.
+    limits: Option<&'static Limits>,
     /// `None` where the staircase goes out as it is.
     shaper: Option<ShaperSettings>,
+}
+
+/// The ramps of a robot in this scene. One that is not Franka's accelerates by the scene's limits,
+/// where these are lower.
+pub fn ramps(model: Model, scene: &Scene) -> ShaperSettings {
+    let mut ramps = ShaperSettings::default();
+    if let Model::Other(_) = model {
+        let [linear, .., angular] = scene.limits.acceleration();
+        ramps.linear.acceleration = ramps.linear.acceleration.min(linear);
+        ramps.angular.acceleration = ramps.angular.acceleration.min(angular);
+    }
+    ramps
 }
 
 /// A bridge that believes the camera to be mounted there. Commands at 30 Hz go out as the
 /// staircase that they are, or shaped.
 ///
 /// # Errors
-/// None: the shaper's settings are good.
+/// A bound of the shaper that is not a positive number.
 pub fn bridge(
     robot: Robot,
     flange_from_camera: Pose,
-    is_shaped: bool,
+    shaper: Option<ShaperSettings>,
 ) -> Result<Bridge, ShaperError> {
     let model = match robot.model() {
-        Model::Panda => arm::Model::Panda,
-        Model::Fr3 => arm::Model::Fr3,
+        Model::Panda => Some(arm::Model::Panda),
+        Model::Fr3 => Some(arm::Model::Fr3),
+        Model::Other(_) => None,
     };
-    let shaper = is_shaped.then(ShaperSettings::default);
     let driver = Emulated {
         robot,
-        limits: model.limits(),
+        limits: model.map(arm::Model::limits),
         shaper,
     };
     let mount = Mount { flange_from_camera };
@@ -79,8 +93,10 @@ impl Driver for Emulated {
     fn room(&self, twist: &Twist) -> Room {
         let state = self.robot.state();
         let chain = Chain::FRANKA.with_ee(state.f_t_ee);
-        let room = |shaper| RESERVE.room(&chain, self.limits, &shaper, &state.q_d, twist);
-        self.shaper.map_or(Room::FULL, room)
+        let known = self.limits.zip(self.shaper);
+        known.map_or(Room::FULL, |(limits, shaper)| {
+            RESERVE.room(&chain, limits, &shaper, &state.q_d, twist)
+        })
     }
 
     fn command(&mut self, twist: &Twist) {

@@ -31,6 +31,12 @@ impl Default for HandEye {
 }
 
 impl HandEye {
+    /// A camera in the flange itself.
+    pub const NONE: Self = Self {
+        translation: [0.0; 3],
+        rotation_deg: [0.0; 3],
+    };
+
     /// The camera in the flange frame, F_T_C.
     pub fn flange_from_camera(&self) -> Pose {
         Pose::from_parts(

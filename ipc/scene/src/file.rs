@@ -122,6 +122,17 @@ impl Scene {
     }
 }
 
+impl Arm {
+    /// Reads an arm file, for a scene that names none.
+    ///
+    /// # Errors
+    /// [`FileError`] names the file, the key, the value and what is allowed.
+    pub fn read(path: &Path) -> Result<Self, FileError> {
+        let name = path.display().to_string();
+        crate::arm::parse(&name, Path::new(""), &|name| read_beside(Path::new(name)))
+    }
+}
+
 /// Reads a file that a scene names.
 pub(crate) fn read_beside(path: &Path) -> std::io::Result<Vec<u8>> {
     toml_schema::read_bytes(path, MOST_BESIDE)

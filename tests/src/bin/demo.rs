@@ -9,6 +9,7 @@ use std::process::{ExitCode, Stdio};
 use anyhow::{Context, bail};
 use clap::{Parser, ValueEnum};
 use hw_sim::recording;
+use hw_sim::robot::arm::ArmSettings;
 use memory_blob::MemoryFile;
 use messages::ClockMode;
 use scene::{Pose, Scene, read_starts};
@@ -252,7 +253,14 @@ impl<'a> Demo<'a> {
         };
         let memory = self.memory()?;
         let memory = Some(&memory);
-        let all = robot_table::table(&self.scene, &self.starts, memory, &flags, &common, &|| ())?;
+        let all = robot_table::table(
+            (&self.scene, &ArmSettings::default()),
+            &self.starts,
+            memory,
+            &flags,
+            &common,
+            &|| (),
+        )?;
         let runs = all
             .into_iter()
             .flat_map(|(spec, runs)| runs.into_iter().map(move |run| (spec, run)));

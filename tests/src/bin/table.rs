@@ -12,12 +12,14 @@ use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
 use decision::OnLoss;
+use hw_sim::robot::arm::ArmSettings;
+use hw_sim::robot::described;
 use hw_sim::robot::truth::Truth;
 use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::MemoryFile;
 use messages::ClockMode;
-use scene::{Pose, Scene, read_starts};
+use scene::{Arm, Pose, Scene, read_starts};
 use serde::Serialize;
 use system_tests::children::{Children, attended};
 use system_tests::document::{self, Document};
@@ -72,7 +74,7 @@ struct Cli {
     wide: bool,
     #[command(flatten, next_help_heading = "With --robot free")]
     camera: CameraFlags,
-    #[command(flatten, next_help_heading = "With --robot panda")]
+    #[command(flatten, next_help_heading = "With --robot panda or urdf")]
     arm: RobotFlags,
     #[command(flatten, next_help_heading = "With --robot fci")]
     fci: FciFlags,
@@ -122,7 +124,9 @@ enum Body {
     Free,
     /// A Franka Emika Panda; frames are delayed.
     Panda,
-    /// The same in real time, with vpcd, vpc-panda and hw-sim as processes: the bridge speaks the
+    /// The arm of --arm or of the scene; its bridge does not slow it down for its joints.
+    Urdf,
+    /// The same as panda in real time, with vpcd, vpc-panda and hw-sim as processes: the bridge speaks the
     /// vendor's protocol.
     Fci,
 }
@@ -143,12 +147,27 @@ fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli,
         (Body::Panda, "panda", RobotFlags::augment_args(none())),
         (Body::Fci, "fci", FciFlags::augment_args(none())),
     ];
-    for (_, name, flags) in bodies.iter().filter(|(body, ..)| *body != cli.robot) {
+    // Both have the same flags.
+    let body = match cli.robot {
+        Body::Urdf => Body::Panda,
+        body => body,
+    };
+    for (_, name, flags) in bodies.iter().filter(|(it, ..)| *it != body) {
         let mut ids = flags.get_arguments().map(|flag| flag.get_id().as_str());
         if let Some(id) = ids.find(|id| given(id)) {
             let words = format!("--{} goes with --robot {name}", id.replace('_', "-"));
             return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
         }
+    }
+    let panda_only = [
+        (cli.arm.edge.is_some(), "edge"),
+        (cli.arm.servo_rule, "servo-rule"),
+        (cli.plots.is_some(), "plots"),
+    ];
+    let mut strange = panda_only.iter().filter(|(is_given, _)| *is_given);
+    if let (Body::Urdf, Some((_, flag))) = (cli.robot, strange.next()) {
+        let words = format!("--{flag} does not go with --robot urdf");
+        return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
     }
     let common = Common::augment_args(none());
     let mut ids = common.get_arguments().map(|flag| flag.get_id().as_str());
@@ -179,6 +198,9 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
     }
     let mut scene = Scene::read(&cli.scene)?;
     let fingerprint = scene.fingerprint();
+    if let Some(path) = &cli.arm.arm {
+        scene.arm = Some(Arm::read(path)?);
+    }
     let starts = made(children, cli, &cli.starts, Product::Starts, |path| {
         Ok(read_starts(path)?)
     })?;
@@ -198,7 +220,7 @@ fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
         }
         match cli.robot {
             Body::Free => free(cli, &scene, &starts, memory.as_ref()),
-            Body::Panda => on_robot(cli, &scene, &starts, memory.as_ref()),
+            Body::Panda | Body::Urdf => on_robot(cli, &scene, &starts, memory.as_ref()),
             Body::Fci => by_interface(children, cli, source, starts.len()),
         }?;
     }
@@ -383,7 +405,12 @@ fn on_robot(
     let count = cli.arm.only.map_or(starts.len(), |_| 1);
     let bar = bar(cli.common.strategies.len() * count);
     let tick = || bar.inc(1);
-    let all = robot_table::table(scene, starts, memory, &cli.arm, &cli.common, &tick)?;
+    let arm = match (cli.robot, &scene.arm) {
+        (Body::Urdf, None) => bail!("--robot urdf goes with --arm, or a scene that names an arm"),
+        (Body::Urdf, Some(arm)) => described::settings(arm),
+        _ => ArmSettings::default(),
+    };
+    let all = robot_table::table((scene, &arm), starts, memory, &cli.arm, &cli.common, &tick)?;
     bar.finish_and_clear();
     let is_following = cli.common.is_following();
     let rows = all.iter();
@@ -546,6 +573,10 @@ mod tests {
             (
                 "--blackout-s 0.5 --robot panda",
                 "--blackout-s goes with --robot free",
+            ),
+            (
+                "--robot urdf --edge 1",
+                "--edge does not go with --robot urdf",
             ),
             ("--jobs 4", "--jobs goes with --robot fci"),
             (

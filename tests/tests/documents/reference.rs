@@ -102,6 +102,7 @@ fn subjects() -> [Subject; 4] {
             },
             relative: &[
                 "start",
+                "robot",
                 "camera",
                 "truth.distortion",
                 "motion.radius_m",
