@@ -50,6 +50,11 @@ struct Tables {
     #[serde(default = "strain")]
     #[schemars(range(min = 0.05, max = 1))]
     strain: f64,
+    /// Position of each joint where the camera sees the goal, if the object is always at the same
+    /// place: starts of a memory are then drawn within the arm's reach.
+    #[serde(default)]
+    #[schemars(length(max = MAX_JOINTS), inner(range(min = -1e3, max = 1e3)), extend("x-unit" = "rad"))]
+    goal: Vec<f64>,
     /// The end effector, whose velocity the robot's bridge shapes, in the frame of the tip.
     #[serde(default)]
     #[schemars(inner(range(min = -2, max = 2)), extend("x-unit" = "m"))]
@@ -185,6 +190,7 @@ impl Checker {
             margin: tables.margin,
             speed: tables.speed,
             strain: tables.strain,
+            goal: heapless::Vec::new(),
             walls: heapless::Vec::new(),
             points: heapless::Vec::new(),
         };
@@ -207,6 +213,7 @@ impl Checker {
                 )?]);
             }
         }
+        arm.goal = self.goal(&tables.goal, &arm)?;
         let Mounting {
             translation,
             rotation,
@@ -230,6 +237,25 @@ impl Checker {
         let seen = |point: &[f64; 3]| (mounted.inverse() * nalgebra::Point3::from(*point)).into();
         arm.points.extend(tables.points.iter().map(seen));
         Ok(arm)
+    }
+
+    /// The joints' positions at the goal, within their ranges and margins.
+    fn goal(&self, goal: &[f64], arm: &Arm) -> Result<heapless::Vec<f64, MAX_JOINTS>, FileError> {
+        let count = arm.joints.len();
+        if !goal.is_empty() && goal.len() != count {
+            let found = format!("a list of {}", goal.len());
+            let allowed = format!("a list of {count}, one for each movable joint");
+            return Err(self.document.refuse("goal", found, &allowed));
+        }
+        for (k, (q, joint)) in goal.iter().zip(&arm.joints).enumerate() {
+            let [least, most] = joint.range;
+            let (least, most) = (least + arm.margin, most - arm.margin);
+            if !(least..=most).contains(q) {
+                let allowed = format!("{least:.3} to {most:.3}, the joint's range less its margin");
+                return Err(self.document.refuse(&format!("goal[{k}]"), q, &allowed));
+            }
+        }
+        Ok(goal.iter().copied().collect())
     }
 
     /// The joints from the base to the tip.

@@ -73,6 +73,8 @@ pub struct Arm {
     pub speed: f64,
     /// Greatest share of a joint's acceleration that the end effector's may take, 0 to 1.
     pub strain: f64,
+    /// Joint positions at which the camera sees the goal, rad; empty where they are not known.
+    pub goal: Vec<f64, MAX_JOINTS>,
     /// Walls of its workspace.
     pub walls: Vec<Wall, MAX_WALLS>,
     /// Points that keep behind the walls beside the camera's origin, along camera axes, m.

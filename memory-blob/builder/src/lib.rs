@@ -14,6 +14,7 @@ pub mod memory;
 pub mod mixture;
 pub mod paint;
 pub mod planner;
+pub mod reach;
 pub mod regression;
 pub mod settings;
 mod sight;

@@ -9,6 +9,7 @@ use vpc::{Points, Task, constraint, task};
 
 use crate::clearance;
 use crate::mixture::Mixture;
+use crate::reach::Reach;
 
 /// Draws before a region is given up as having no valid start.
 const MAX_DRAWS: usize = 100_000;
@@ -17,7 +18,7 @@ const MAX_DRAWS: usize = 100_000;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[error(
     "starts: none of {MAX_DRAWS} draws from the region is clear of image border and occlusions and far enough from \
-     the goal; allowed: a region, `clearance_px` and `min_error_px` that leave room"
+     the goal, and within the reach of the scene's arm; allowed: a region, `clearance_px` and `min_error_px` that leave room"
 )]
 pub struct NoStart;
 
@@ -64,7 +65,8 @@ pub fn features_if_valid(scene: &Scene, task: &Task, pose: &Pose) -> Option<Poin
     (clear && facing && mean >= region.min_error_px).then_some(points)
 }
 
-/// A valid start: from the failures' mixture where one is given, else from the whole region.
+/// A valid start: from the failures' mixture where one is given, else from the whole region; where
+/// the scene's arm is known, within its [reach](Reach).
 ///
 /// # Errors
 /// [`NoStart`] where the region holds none.
@@ -74,12 +76,15 @@ pub fn valid(
     near: Option<&Mixture>,
     rng: &mut ChaCha8Rng,
 ) -> Result<Pose, NoStart> {
+    let reach = Reach::of(scene);
+    let is_reached = |pose: &Pose| reach.as_ref().is_none_or(|reach| reach.includes(pose));
     for _ in 0..MAX_DRAWS {
         let pose = match near {
             Some(mixture) => pose_of(mixture.sample(rng)),
             None => draw(scene, rng),
         };
-        if inside(scene, &pose) && features_if_valid(scene, task, &pose).is_some() {
+        let is_seen = || features_if_valid(scene, task, &pose).is_some();
+        if inside(scene, &pose) && is_seen() && is_reached(&pose) {
             return Ok(pose);
         }
     }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use anyhow::bail;
 use clap::Args;
 use figures::Preview as Figure;
+use memory_builder::reach::Reach;
 use memory_builder::start;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -38,6 +39,16 @@ pub struct Preview {
     seed: u64,
 }
 
+/// Starts that were looked for.
+#[derive(Default)]
+struct Drawn {
+    /// How many are valid, and within the arm's reach.
+    found: usize,
+    drawn: usize,
+    /// Valid but for the reach.
+    beyond: usize,
+}
+
 impl Preview {
     /// Writes the picture; says what is in it.
     ///
@@ -55,14 +66,20 @@ impl Preview {
             }
         };
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
-        let (mut starts, mut drawn) = (Vec::new(), 0);
-        while starts.len() < self.starts && drawn < DRAWS {
-            drawn += 1;
+        let reach = Reach::of(&scene);
+        let (mut starts, mut count) = (Vec::new(), Drawn::default());
+        while starts.len() < self.starts && count.drawn < DRAWS {
+            count.drawn += 1;
             let pose = start::draw(&scene, &mut rng);
-            if start::features_if_valid(&scene, &task, &pose).is_some() {
-                starts.push(seen(&scene, &pose));
+            if start::features_if_valid(&scene, &task, &pose).is_none() {
+                continue;
+            }
+            match reach.as_ref().is_none_or(|reach| reach.includes(&pose)) {
+                true => starts.push(seen(&scene, &pose)),
+                false => count.beyond += 1,
             }
         }
+        count.found = starts.len();
 
         let trigger = Settings::default().trigger_px;
         let file = self.stem();
@@ -74,7 +91,7 @@ impl Preview {
             starts,
             title: self.title(),
         };
-        let said = describe(&task, &scene, trigger, figure.starts.len(), drawn);
+        let said = describe(&task, &scene, trigger, &count);
         let [svg, png] = figure.canvas().write(&file)?;
         if figure.starts.is_empty() {
             bail!(
@@ -150,7 +167,7 @@ fn goal_radius(task: &Task) -> f64 {
 }
 
 /// The scene in words.
-fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize) -> String {
+fn describe(task: &Task, scene: &Scene, trigger: f64, starts: &Drawn) -> String {
     let mut said = String::new();
     let places: Vec<String> = task
         .goal
@@ -186,11 +203,20 @@ fn describe(task: &Task, scene: &Scene, trigger: f64, found: usize, drawn: usize
         said,
         "\nocclusions  {parts}, {masks} of {areas}; the memory is asked below {trigger:.0} px (orange)"
     );
-    let share = 100.0 * found as f64 / drawn.max(1) as f64;
-    let _ = writeln!(
+    let Drawn {
+        found,
+        drawn,
+        beyond,
+    } = starts;
+    let share = 100.0 * *found as f64 / (*drawn).max(1) as f64;
+    let _ = write!(
         said,
         "starts      {found} of {drawn} draws are valid ({share:.0} %)"
     );
+    if *beyond > 0 {
+        let _ = write!(said, "; {beyond} are beyond the arm's reach");
+    }
+    said.push('\n');
     if occlusion < trigger {
         let _ = writeln!(
             said,

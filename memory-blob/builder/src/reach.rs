@@ -1,0 +1,131 @@
+//! Which starts an arm can reach from the goal, with its elbow held, as the law moves it.
+
+use arm::{Arm, Dampers, Joints};
+use nalgebra::{Rotation3, Translation3, Vector3};
+use scene::{Pose, Scene};
+
+/// Steps of the way to a start.
+const STEPS: u32 = 50;
+/// How near a start the arm must come, m and rad.
+const NEAR: f64 = 1e-3;
+
+/// What an arm can reach of the scene whose goal it shows.
+pub struct Reach {
+    arm: Arm,
+    /// Joints at the goal.
+    goal: Joints,
+    /// The object in the base.
+    base_from_object: arm::Pose,
+    /// The camera's, m/s^2 and rad/s^2.
+    accelerations: [f64; 6],
+    period_s: f64,
+}
+
+impl Reach {
+    /// Of the scene's arm; `None` where the scene names none, or where its file does not tell the
+    /// joints at the goal.
+    pub fn of(scene: &Scene) -> Option<Self> {
+        let described = scene.arm.as_ref().filter(|arm| !arm.goal.is_empty())?;
+        let arm = vpc::arm::of(described);
+        let mut goal = Joints::zeros();
+        goal.iter_mut()
+            .zip(&described.goal)
+            .for_each(|(to, from)| *to = *from);
+        Some(Self {
+            base_from_object: arm.chain.pose(&goal) * rigid(&scene.goal),
+            goal,
+            accelerations: scene.limits.acceleration(),
+            period_s: scene.sampling_time(),
+            arm,
+        })
+    }
+
+    /// Whether the camera can be where it sees the object at this pose: on a straight way there,
+    /// at an even turn, no joint comes into the margin of its range, no point behind a wall, and
+    /// the arm near no singular posture.
+    pub fn includes(&self, start: &Pose) -> bool {
+        let wanted = self.base_from_object * rigid(start).inverse();
+        let mut q = self.goal;
+        for left in (1..=STEPS).rev() {
+            let step = self.to(&q, &wanted).map(|x| x / f64::from(left));
+            q = self.arm.moved(&q, &step, 1.0);
+            let dampers = Dampers::at(&self.arm, &q, &self.accelerations, self.period_s);
+            // Where nothing is left, nothing is allowed.
+            if dampers.bounds.iter().any(|bound| bound.most <= 0.0) {
+                return false;
+            }
+        }
+        self.to(&q, &wanted).iter().all(|x| x.abs() < NEAR)
+    }
+
+    /// The camera's motion to a pose, along its axes, m and rad.
+    fn to(&self, q: &Joints, wanted: &arm::Pose) -> [f64; 6] {
+        let camera = self.arm.chain.pose(q);
+        let apart = camera.inverse() * wanted;
+        let (linear, angular) = (apart.translation.vector, apart.rotation.scaled_axis());
+        [
+            linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
+        ]
+    }
+}
+
+fn rigid(pose: &Pose) -> arm::Pose {
+    arm::Pose::from_parts(
+        Translation3::from(pose.translation),
+        Rotation3::new(Vector3::from(pose.rotation)),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The paper's robot scene, with the shipped Panda ready at the goal, and a table under it.
+    fn scene(table_m: f64) -> Scene {
+        let beside = concat!(env!("CARGO_MANIFEST_DIR"), "/../../ipc/scene/scenes/s.toml");
+        let text = format!("arm = \"panda.toml\"\n{}", scene::PAPER_ROBOT);
+        let mut scene = Scene::parse(&text, beside).unwrap();
+        let arm = scene.arm.as_mut().unwrap();
+        arm.goal.extend(arm::READY);
+        let wall = scene::Wall {
+            normal: [0.0, 0.0, 1.0],
+            offset: table_m,
+        };
+        arm.walls.push(wall).unwrap();
+        scene
+    }
+
+    /// The goal, with the camera that much along its axes.
+    fn moved(scene: &Scene, [x, y, z]: [f64; 3], roll: f64) -> Pose {
+        let [a, b, c] = scene.goal.translation;
+        Pose {
+            translation: [a - x, b - y, c - z],
+            rotation: [0.0, 0.0, roll],
+        }
+    }
+
+    #[test]
+    fn an_arm_reaches_what_is_near_and_neither_beyond_its_range_nor_below_a_table() {
+        let scene = scene(0.2);
+        let reach = Reach::of(&scene).unwrap();
+        let includes = |way, roll| reach.includes(&moved(&scene, way, roll));
+        assert!(includes([0.0; 3], 0.0));
+        assert!(includes([0.1, 0.05, -0.1], 0.4));
+        // Far away; up to where the arm is stretched; joint 7 to its end.
+        assert!(!includes([0.0, -1.0, 0.0], 0.0));
+        assert!(!includes([0.0, 0.0, -0.7], 0.0));
+        assert!(!includes([0.0; 3], 2.6) || !includes([0.0; 3], -2.6));
+        // The camera is some 0.59 m up, and looks down.
+        assert!(includes([0.0, 0.0, 0.3], 0.0));
+        assert!(!includes([0.0, 0.0, 0.45], 0.0));
+    }
+
+    #[test]
+    fn without_joints_at_the_goal_nothing_is_known() {
+        let mut scene = scene(0.2);
+        scene.arm.as_mut().unwrap().goal.clear();
+        assert!(Reach::of(&scene).is_none());
+        scene.arm = None;
+        assert!(Reach::of(&scene).is_none());
+    }
+}
