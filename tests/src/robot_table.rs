@@ -149,7 +149,7 @@ pub fn table(
         believed.arm = None;
     }
     let rule = flags.servo_rule.then(ServoRule::new);
-    let arm = scene.arm.as_ref().map(vpc::arm::of);
+    let known = scene.arm.as_ref().map(vpc::arm::of);
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {
@@ -166,7 +166,7 @@ pub fn table(
             let run = run(scene, &cell, course, &mut daemon, pose);
             tick();
             let mut run = run.with_context(|| format!("start {start}"))?;
-            run.goal = edge.zip(arm.as_ref()).map(|(edge, arm)| {
+            run.goal = edge.zip(known.as_ref()).map(|(edge, arm)| {
                 let mut random = ChaCha8Rng::seed_from_u64(start as u64);
                 Goal::search(scene, arm, edge.q[edge::ELBOW], &mut random)
             });
