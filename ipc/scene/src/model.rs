@@ -73,8 +73,12 @@ pub struct Arm {
     pub speed: f64,
     /// Greatest share of a joint's acceleration that the end effector's may take, 0 to 1.
     pub strain: f64,
+    /// Names of the joints in the URDF; empty where one is longer than a [`Name`].
+    pub joint_names: Vec<Name, MAX_JOINTS>,
     /// Walls of its workspace.
     pub walls: Vec<Wall, MAX_WALLS>,
+    /// Names of the walls; empty where the file gives none.
+    pub wall_names: Vec<Name, MAX_WALLS>,
     /// Points that keep behind the walls beside the camera's origin, along camera axes, m.
     pub points: Vec<[f64; 3], MAX_WALL_POINTS>,
 }

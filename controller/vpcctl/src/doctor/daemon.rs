@@ -215,6 +215,9 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::NoRobot => {
             "start the robot's client; `safety.robot = \"optional\"` where the robot tells nothing"
         }
+        Hold::NoJoints => {
+            "the robot must tell the positions of all joints of the arm that the scene names; `vpcctl doctor --scene FILE` compares them"
+        }
         Hold::NotFollowed => {
             "see why the robot does not move as commanded (its mode, its limits, the frames of its client), then `vpcctl arm`"
         }
