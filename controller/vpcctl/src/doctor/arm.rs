@@ -1,8 +1,9 @@
 //! The arm file of the scene against the robot that is there.
 
-use arm::{Chain, Joints, Pose, Screw, Twist};
+use arm::{Joints, Twist};
 use messages::RobotState;
-use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3, Vector3};
+use nalgebra::Vector3;
+use recorder::chain;
 use scene::Arm;
 
 use super::Finding;
@@ -76,21 +77,6 @@ fn velocity(arm: &Arm, robot: &RobotState) -> Option<Finding> {
     );
     let remedy = "see the arm file's urdf, tip and camera, and the frame of vpc/robot's twist";
     Some(Finding::fail(WHAT, words, remedy))
-}
-
-/// The kinematics of an arm; its chain ends at the camera.
-fn chain(arm: &Arm) -> Chain {
-    let screws = arm.joints.iter().map(|joint| Screw {
-        axis: joint.axis.into(),
-        point: joint.point.into(),
-        slides: joint.slides,
-    });
-    let rotation = Matrix3::from_rows(&arm.rotation.map(RowVector3::from));
-    let camera = Pose::from_parts(
-        Translation3::from(arm.translation),
-        Rotation3::from_matrix_unchecked(rotation),
-    );
-    Chain::new(&screws.collect::<Vec<_>>(), camera)
 }
 
 #[cfg(test)]
