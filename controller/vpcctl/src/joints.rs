@@ -42,7 +42,12 @@ impl Joint {
         let [least, most] = self.range;
         let cell = |place: f64| (place * width.saturating_sub(1) as f64).round() as usize;
         let [from, to] = [least + self.margin, most - self.margin].map(|q| self.place(q));
-        let (from, to) = (from.map_or(0, cell), to.map_or(width, cell));
+        // A margin is seen, however short the line.
+        let mark = usize::from(self.margin > 0.0);
+        let from = from.map_or(0, |place| cell(place).max(mark));
+        let to = to.map_or(width, |place| {
+            cell(place).min(width.saturating_sub(1 + mark))
+        });
         let at = self.place(self.q).map(cell);
         let cells = (0..width).map(|k| match k {
             _ if at == Some(k) => '●',
@@ -122,6 +127,7 @@ pub(crate) mod tests {
         assert!(binding[3] && (all[3].left() - 0.2018).abs() < 1e-9);
         let half = "─".repeat(14);
         assert_eq!(all[0].track(31), format!("·{half}●{half}·"));
+        assert_eq!(all[0].track(5), "·─●─·");
         assert_eq!(all[3].track(15), "·●────────────·");
         // Of another robot, or of one that is silent.
         assert_eq!(joints(&view, 2_000_000_000), []);
