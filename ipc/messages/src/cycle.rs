@@ -169,11 +169,11 @@ codes! {
     ArmBound {
         none = 0 => "none" " Nothing, or the arm is not known.",
         /// A joint is at the end of its range.
-        Range = 1 => "end of a joint's range",
+        Range = 1 => "joint range",
         /// A joint has its greatest speed.
-        Speed = 2 => "greatest speed of a joint",
+        Speed = 2 => "joint speed",
         /// The posture is nearly singular.
-        Singularity = 3 => "singular posture",
+        Singularity = 3 => "singularity",
         /// The camera, or a point of the arm, is at a wall.
         Wall = 4 => "wall",
     }

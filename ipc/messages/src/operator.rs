@@ -61,7 +61,7 @@ codes! {
         /// name the newest stop.
         Stopped = 13 => "refused: stopped since it was last armed",
         /// Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
-        NoJoints = 14 => "refused: the robot does not tell the joints of the scene's arm",
+        NoJoints = 14 => "refused: the arm's joints are unknown",
     }
 }
 

@@ -447,7 +447,7 @@ mod tests {
         assert!(text.lines().all(|line| line.len() <= 80), "{text}");
         let json = status.json();
         assert_eq!(json["bound"]["index"], 3);
-        assert_eq!(json["bound"]["kind"], "end of a joint's range");
+        assert_eq!(json["bound"]["kind"], "joint range");
         let joint = &json["robot"]["joints"][3];
         assert_eq!(
             (joint["q"].as_f64(), &joint["binds"]),

@@ -220,11 +220,11 @@ class ArmBound(Code):
     # Nothing, or the arm is not known.
     NONE = 0, "none"
     # A joint is at the end of its range.
-    RANGE = 1, "end of a joint's range"
+    RANGE = 1, "joint range"
     # A joint has its greatest speed.
-    SPEED = 2, "greatest speed of a joint"
+    SPEED = 2, "joint speed"
     # The posture is nearly singular.
-    SINGULARITY = 3, "singular posture"
+    SINGULARITY = 3, "singularity"
     # The camera, or a point of the arm, is at a wall.
     WALL = 4, "wall"
 
@@ -281,7 +281,7 @@ class Outcome(Code):
     # newest stop.
     STOPPED = 13, "refused: stopped since it was last armed"
     # Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
-    NO_JOINTS = 14, "refused: the robot does not tell the joints of the scene's arm"
+    NO_JOINTS = 14, "refused: the arm's joints are unknown"
 
 
 class Encoding(Code):
