@@ -212,6 +212,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         dump: dump.clone(),
         flight: Recorder::new(&config, about, rate_hz),
         notifier: Notifier::new(service, period, progress.clone(), stop.clone(), hangup),
+        arm: loaded.scene().arm.clone(),
     };
     let recorder = telemetry.start(&config.domain)?;
     tracing::info!("{}", describe(&config, &loaded));

@@ -1,6 +1,7 @@
 //! Sums over the records of a run.
 
 use messages::{CycleRecord, Hold, PhaseCode, RealTime, RecallCode, TwistState};
+use scene::Arm;
 use tracing::{info, warn};
 
 use crate::histogram::Histogram;
@@ -28,9 +29,21 @@ pub struct Summary {
     lost: u32,
     /// Whether the law's twist was sent in some cycle so far.
     has_steered: bool,
+    /// The scene's arm.
+    arm: Option<Arm>,
+    /// What of it binds the command of the last cycle with features, in words.
+    bound: Option<String>,
 }
 
 impl Summary {
+    /// Before the first record, of a scene with this arm.
+    pub fn new(arm: Option<Arm>) -> Self {
+        Self {
+            arm,
+            ..Self::default()
+        }
+    }
+
     /// Adds the next record.
     pub fn add(&mut self, record: &CycleRecord) {
         self.counts.cycles += 1;
@@ -49,6 +62,9 @@ impl Summary {
         self.counts.recalled += u64::from(record.recalled == RecallCode::Followed.code());
         self.counts.realtime = record.realtime;
         self.count_costs(record);
+        if record.count > 0 {
+            self.bound = self.bound(record);
+        }
         self.log_changes(record);
         self.log_foresight(record);
         self.phase = record.phase;
@@ -85,9 +101,10 @@ impl Summary {
             match (TwistState::from_code(record.state), record.hold()) {
                 (Some(state), Some(cause)) => {
                     let features = record.features_sequence;
+                    let why = self.words(cause);
                     match self.is_expected(cause) {
-                        true => info!(cycle, features, %cause, "{state}: {cause}"),
-                        false => warn!(cycle, features, %cause, "{state}: {cause}"),
+                        true => info!(cycle, features, %cause, "{state}: {why}"),
+                        false => warn!(cycle, features, %cause, "{state}: {why}"),
                     }
                 }
                 (Some(state), None) => {
@@ -123,12 +140,33 @@ impl Summary {
         }
     }
 
+    /// What of the arm binds the command of a cycle, in words.
+    fn bound(&self, record: &CycleRecord) -> Option<String> {
+        let bound = record.bound()?;
+        Some(match &self.arm {
+            Some(arm) => bound.named(&arm.joint_names, &arm.wall_names).to_string(),
+            None => bound.to_string(),
+        })
+    }
+
+    /// Why the law's twist is not sent, with what of the arm stands in its way.
+    fn words(&self, cause: Hold) -> String {
+        match (cause, &self.bound, &self.arm) {
+            (Hold::NoWay, Some(bound), _) => format!("{cause}: {bound}"),
+            (Hold::NoJoints, _, Some(arm)) => {
+                let joints = arm.joints.len();
+                format!("{cause}: the scene's arm has {joints}, and vpc/robot must tell all")
+            }
+            _ => cause.to_string(),
+        }
+    }
+
     /// Whether a cause belongs to a normal start, or was asked for: it is no warning then. Camera and
     /// robot may start later than `vpcd`.
     fn is_expected(&self, cause: Hold) -> bool {
         match cause {
             Hold::NotArmed | Hold::Operator | Hold::Shutdown => true,
-            Hold::NoFeatures | Hold::NoRobot | Hold::Stale => !self.has_steered,
+            Hold::NoFeatures | Hold::NoRobot | Hold::NoJoints | Hold::Stale => !self.has_steered,
             _ => false,
         }
     }
@@ -139,10 +177,12 @@ impl Summary {
             self.lost = self.lost.saturating_add(1);
             if self.lost == LOST_CYCLES {
                 let error_px = tenths(record.error_px);
+                let bound = self.bound.as_ref();
+                let bound = bound.map_or(String::new(), |bound| format!("; {bound}"));
                 warn!(
                     cycle,
                     error_px,
-                    "foresight: no way known for {LOST_CYCLES} cycles; what comes nearest is followed"
+                    "foresight: no way known for {LOST_CYCLES} cycles; what comes nearest is followed{bound}"
                 );
             }
             return;
@@ -166,7 +206,7 @@ impl Summary {
             Hold::from_code(self.hold),
         ) {
             _ if self.counts.cycles == 0 => "starting".to_owned(),
-            (Some(state), Some(cause)) => format!("{state}: {cause}"),
+            (Some(state), Some(cause)) => format!("{state}: {}", self.words(cause)),
             (Some(state), _) if self.error_px.is_nan() => state.to_string(),
             (Some(state), _) => format!("{state}, error {:.1} px", self.error_px),
             (None, _) => "unknown".to_owned(),
@@ -279,6 +319,35 @@ mod tests {
             ..record(1)
         });
         assert!(summary.status().starts_with("moving; "));
+    }
+
+    #[test]
+    fn no_way_is_told_with_what_of_the_arm_binds_and_missing_joints_with_their_number() {
+        let text = format!("arm = 'panda.toml'\n{}", scene::PAPER_ROBOT);
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../ipc/scene/scenes/s.toml");
+        let arm = scene::Scene::parse(&text, path).unwrap().arm;
+        let status = |arm: Option<Arm>, record: &CycleRecord| {
+            let mut summary = Summary::new(arm);
+            summary.add(record);
+            summary.status()
+        };
+        let mut held = record(1);
+        (held.state, held.count) = (TwistState::Holding.code(), 4);
+        held.hold = Hold::NoWay.code();
+        assert!(status(arm.clone(), &held).starts_with("holding: no way known; "));
+        (held.arm_bound, held.arm_bound_index) = (messages::ArmBound::Range.code(), 3);
+        let named = "holding: no way known: panda_joint4 is at the end of its range; ";
+        assert!(status(arm.clone(), &held).starts_with(named));
+        let numbered = "holding: no way known: joint 4 is at the end of its range; ";
+        assert!(status(None, &held).starts_with(numbered));
+        held.hold = Hold::NoJoints.code();
+        let told = status(arm, &held);
+        assert!(
+            told.starts_with("holding: joints unknown: the scene's arm has 7"),
+            "{told}"
+        );
+        held.hold = Hold::Hidden.code();
+        assert!(status(None, &held).starts_with("holding: hidden point; "));
     }
 
     #[test]

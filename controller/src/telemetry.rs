@@ -48,6 +48,8 @@ pub struct Telemetry {
     pub flight: Recorder,
     /// Talks to the service manager.
     pub notifier: Notifier,
+    /// The scene's arm.
+    pub arm: Option<scene::Arm>,
 }
 
 impl Telemetry {
@@ -82,7 +84,7 @@ impl Telemetry {
     }
 
     fn run(mut self, mut port: RecorderPort) -> Summary {
-        let (mut summary, mut stops) = (Summary::default(), StopLog::default());
+        let (mut summary, mut stops) = (Summary::new(self.arm.take()), StopLog::default());
         loop {
             // In this order: what was left before the loop let go, or before a request, is still
             // taken.

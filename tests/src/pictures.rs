@@ -208,7 +208,9 @@ pub fn joints(records: &[Record], title: &str) -> Option<Joints> {
         time_s: samples.iter().map(|(time, _)| *time).collect(),
         q: samples.iter().map(|(_, arm)| arm.q).collect(),
         dq: samples.iter().map(|(_, arm)| arm.dq).collect(),
-        limits: joint_limits(),
+        limits: joint_limits().to_vec(),
+        margin: 0.0,
+        bound: Vec::new(),
         marks: changes
             .map(|pair| (pair[1].0, pair[1].1.phase.name().to_owned()))
             .collect(),

@@ -1,8 +1,10 @@
 //! Conversions between the codes of the contract and the types of the control law.
 
 use messages::{
-    CycleRecord, Features, ForesightCode, Hold, RecallCode, SolverStatus, Stamp, StrategyCode,
+    ArmBound, CycleRecord, Features, ForesightCode, Hold, RecallCode, SolverStatus, Stamp,
+    StrategyCode,
 };
+use vpc::arm::Cause;
 use vpc::foresight::{Foresight, Outcome, PLACES};
 use vpc::guide::Kind;
 use vpc::{Asked, Law, Measurement, Refusal, Status, Step, Strategy};
@@ -65,7 +67,7 @@ pub fn hold_of(refusal: Refusal) -> Hold {
         Refusal::NotFollowing { .. } => Hold::NotFollowing,
         Refusal::Elsewhere { .. } => Hold::Elsewhere,
         Refusal::Late { .. } => Hold::Stale,
-        Refusal::NoJoints => Hold::NoRobot,
+        Refusal::NoJoints => Hold::NoJoints,
     }
 }
 
@@ -111,6 +113,14 @@ pub fn record_step(step: &Step, record: &mut CycleRecord) {
         Asked::Refused => RecallCode::Refused,
     }
     .code();
+    let (bound, index) = match step.cause {
+        None => (0, 0),
+        Some(Cause::Joint(k)) => (ArmBound::Range.code(), k),
+        Some(Cause::Speed(k)) => (ArmBound::Speed.code(), k),
+        Some(Cause::Singularity) => (ArmBound::Singularity.code(), 0),
+        Some(Cause::Wall(i)) => (ArmBound::Wall.code(), i),
+    };
+    (record.arm_bound, record.arm_bound_index) = (bound, index as u32);
     record.iterations = step.iterations;
     record.qp_iterations = step.qp_iterations;
     record.cost = step.cost;
@@ -150,5 +160,30 @@ pub fn solver_failed(record: &CycleRecord) -> Option<bool> {
     match SolverStatus::from_code(record.status) {
         None | Some(SolverStatus::Idle) => None,
         Some(status) => Some(status == SolverStatus::NumericalFailure),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_of_the_arm_binds_is_recorded_with_its_index() {
+        let recorded = |cause| {
+            let mut record = CycleRecord::default();
+            let step = Step {
+                cause,
+                ..Step::default()
+            };
+            record_step(&step, &mut record);
+            (record.arm_bound, record.arm_bound_index)
+        };
+        assert_eq!(recorded(None), (0, 0));
+        let at = |bound: ArmBound, index| (bound.code(), index);
+        assert_eq!(recorded(Some(Cause::Joint(3))), at(ArmBound::Range, 3));
+        assert_eq!(recorded(Some(Cause::Speed(6))), at(ArmBound::Speed, 6));
+        let singular = recorded(Some(Cause::Singularity));
+        assert_eq!(singular, at(ArmBound::Singularity, 0));
+        assert_eq!(recorded(Some(Cause::Wall(1))), at(ArmBound::Wall, 1));
     }
 }

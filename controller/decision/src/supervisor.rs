@@ -257,8 +257,10 @@ impl Supervisor {
             Some(_) => return Outcome::RobotFault,
         }
         // Where no way is known it may be armed, and tries again.
-        if (situation.decision.hold).is_some_and(|hold| hold != Hold::NoWay) {
-            return Outcome::NoFeatures;
+        match situation.decision.hold {
+            None | Some(Hold::NoWay) => (),
+            Some(Hold::NoJoints) => return Outcome::NoJoints,
+            Some(_) => return Outcome::NoFeatures,
         }
         (self.overruns, self.failures) = (0, 0);
         (self.is_stop_new, self.has_arrived) = (false, false);
@@ -437,6 +439,7 @@ fn response(hold: Hold) -> Response {
         | Hold::Mixed
         | Hold::Elsewhere
         | Hold::Order
+        | Hold::NoJoints
         | Hold::NoWay => Response::Wait,
     }
 }

@@ -21,8 +21,13 @@ pub struct Joints {
     pub q: Vec<[f64; 7]>,
     /// Velocities of each sample, rad/s.
     pub dq: Vec<[f64; 7]>,
-    /// Of each joint: least and greatest position in rad, greatest speed in rad/s.
-    pub limits: [[f64; 3]; 7],
+    /// Of each joint: least and greatest position in rad, greatest speed in rad/s; m where it
+    /// slides. As many as the arm has.
+    pub limits: Vec<[f64; 3]>,
+    /// What the law keeps of each range at both ends, rad or m; 0: nothing.
+    pub margin: f64,
+    /// Spans of time in which a joint binds the law's command: joint, begin and end, s.
+    pub bound: Vec<(usize, [f64; 2])>,
     /// Instants to mark, s, and their names.
     pub marks: Vec<(f64, String)>,
     /// Title.
@@ -32,7 +37,7 @@ pub struct Joints {
 impl Joints {
     /// Draws the figure; sizes are in px.
     pub fn canvas(&self) -> Canvas {
-        let height = TOP + 7.0 * (PANEL + GAP) - GAP + BOTTOM;
+        let height = TOP + self.limits.len() as f64 * (PANEL + GAP) - GAP + BOTTOM;
         let mut canvas = Canvas::new(WIDTH, height);
         canvas.text(WIDTH / 2.0, 17.0, 12.0, "middle", &self.title);
         // In words above, because neighbours are often too close for names beside them.
@@ -42,13 +47,15 @@ impl Joints {
             let text = format!("dotted: {}", marks.join(", "));
             canvas.text(WIDTH / 2.0, 32.0, 10.0, "middle", &text);
         }
-        for (column, text) in ["position (rad), range white", "velocity (rad/s)"]
-            .iter()
-            .enumerate()
-        {
+        let positions = match (self.margin > 0.0, self.bound.is_empty()) {
+            (false, _) => "position (rad), range white",
+            (true, true) => "position (rad), range white, margin light",
+            (true, false) => "position (rad), range white, margin light, orange: binds",
+        };
+        for (column, text) in [positions, "velocity (rad/s)"].iter().enumerate() {
             canvas.text(LEFT[column] + COLUMN / 2.0, TOP - 8.0, 11.0, "middle", text);
         }
-        for joint in 0..7 {
+        for joint in 0..self.limits.len() {
             let top = TOP + joint as f64 * (PANEL + GAP);
             self.positions(&mut canvas, top, joint);
             self.velocities(&mut canvas, top, joint);
@@ -71,6 +78,9 @@ impl Joints {
 
     fn positions(&self, canvas: &mut Canvas, top: f64, joint: usize) {
         let [least, greatest, _] = self.limits[joint];
+        if !(greatest - least).is_finite() {
+            return self.endless(canvas, top, joint);
+        }
         // A strip beyond either end, so that the end is seen.
         let beyond = 0.08 * (greatest - least);
         let (low, high) = (least - beyond, greatest + beyond);
@@ -79,6 +89,38 @@ impl Joints {
             let size = [COLUMN, y(to) - y(from)];
             canvas.rect([LEFT[0], y(from)], size, "fill=\"#d9dce1\"");
         }
+        if self.margin > 0.0 {
+            for (from, to) in [
+                (greatest, greatest - self.margin),
+                (least + self.margin, least),
+            ] {
+                let size = [COLUMN, y(to) - y(from)];
+                canvas.rect([LEFT[0], y(from)], size, "fill=\"#eff0f3\"");
+            }
+        }
+        for (_, [from, to]) in self.bound.iter().filter(|(bound, _)| *bound == joint) {
+            let [from, to] = [from, to].map(|t| self.x(LEFT[0], *t));
+            let size = [(to - from).max(1.0), PANEL];
+            canvas.rect([from, top], size, "fill=\"#e69f00\" fill-opacity=\"0.35\"");
+        }
+        for value in [least, greatest] {
+            let text = format!("{value:.2}");
+            canvas.text(LEFT[0] - 6.0, y(value) + 3.5, 9.0, "end", &text);
+        }
+        self.curve(canvas, LEFT[0], joint, &self.q, y);
+        let name = format!("q{}", joint + 1);
+        canvas.text(LEFT[0] + 8.0, top + 18.0, 11.0, "start", &name);
+        self.frame(canvas, LEFT[0], top);
+    }
+
+    /// The position of a joint that turns without end.
+    fn endless(&self, canvas: &mut Canvas, top: f64, joint: usize) {
+        let positions = self.q.iter().map(|q| q[joint]);
+        let least = positions.clone().fold(f64::INFINITY, f64::min);
+        let greatest = positions.fold(f64::NEG_INFINITY, f64::max);
+        let middle = 0.5 * (least + greatest);
+        let half = (0.6 * (greatest - least)).max(0.1);
+        let y = |q: f64| top + PANEL * (0.5 - 0.5 * (q - middle) / half);
         for value in [least, greatest] {
             let text = format!("{value:.2}");
             canvas.text(LEFT[0] - 6.0, y(value) + 3.5, 9.0, "end", &text);
@@ -149,7 +191,9 @@ mod tests {
             time_s: (0..30).map(|k| 0.1 * f64::from(k)).collect(),
             q: vec![[0.1; 7]; 30],
             dq,
-            limits: [[-2.0, 2.0, 2.0]; 7],
+            limits: vec![[-2.0, 2.0, 2.0]; 7],
+            margin: 0.0,
+            bound: Vec::new(),
             marks: vec![(1.0, "release".into())],
             title: "joints".into(),
         };
@@ -157,5 +201,32 @@ mod tests {
         assert_eq!(svg.matches("at most 25.0 % of 2 rad/s").count(), 1);
         assert_eq!(svg.matches("at most 0.0 % of 2 rad/s").count(), 6);
         assert_eq!(svg.matches(">dotted: release 1.0 s<").count(), 1);
+    }
+
+    #[test]
+    fn margins_and_what_binds_are_drawn_for_as_many_joints_as_there_are() {
+        let mut joints = Joints {
+            time_s: vec![0.0, 1.0],
+            q: vec![[0.1; 7]; 2],
+            dq: vec![[0.0; 7]; 2],
+            limits: vec![[-2.0, 2.0, 2.0]; 6],
+            margin: 0.2,
+            bound: vec![(3, [0.25, 0.75])],
+            marks: Vec::new(),
+            title: "joints".into(),
+        };
+        let svg = joints.canvas().svg();
+        let count = |svg: &str, text: &str| svg.matches(text).count();
+        assert_eq!((count(&svg, ">q6<"), count(&svg, ">q7<")), (1, 0));
+        assert_eq!(
+            (count(&svg, "#eff0f3"), count(&svg, "fill-opacity")),
+            (12, 1)
+        );
+        assert_eq!(count(&svg, "orange: binds"), 1);
+        joints.limits[5] = [f64::NEG_INFINITY, f64::INFINITY, 2.0];
+        joints.bound.clear();
+        let svg = joints.canvas().svg();
+        assert_eq!((count(&svg, "#eff0f3"), count(&svg, "orange")), (10, 0));
+        assert!(!svg.contains("NaN") && !svg.contains("inf"));
     }
 }

@@ -9,6 +9,7 @@ pub(crate) const BLUE: Color = color(0.12, 0.31, 0.85, 1.0);
 pub(crate) const RED: Color = color(0.85, 0.12, 0.12, 1.0);
 pub(crate) const AMBER: Color = color(0.66, 0.38, 0.0, 1.0);
 pub(crate) const GREY: Color = color(0.45, 0.47, 0.5, 1.0);
+pub(crate) const SHADE: Color = color(0.45, 0.47, 0.5, 0.3);
 pub(crate) const DARK: Color = color(0.1, 0.1, 0.1, 1.0);
 pub(crate) const LIGHT: Color = color(1.0, 1.0, 1.0, 0.8);
 pub(crate) const CLEAR: Color = color(0.0, 0.0, 0.0, 0.0);

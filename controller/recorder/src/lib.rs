@@ -9,6 +9,7 @@
 
 mod annotation;
 mod foxglove_server;
+mod joint_bars;
 mod ledger;
 pub mod live;
 mod plot;
@@ -27,3 +28,4 @@ pub use record::{Options, RecordError, record};
 pub use recorder::Recorder;
 pub use report::{Report, StageTimes};
 pub use views::Viewed;
+pub use world::chain;

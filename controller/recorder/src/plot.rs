@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use figures::{Comparison, FigureError, ImagePlane, Latency, Times, Velocity};
-use messages::{ClockMode, CycleRecord, MAX_POINTS};
+use figures::{Comparison, FigureError, ImagePlane, Joints, Latency, Times, Velocity};
+use messages::{ArmBound, ClockMode, CycleRecord, MAX_POINTS, RobotState};
 use scene::{FileError, Scene};
 
 use crate::report::Report;
@@ -14,6 +14,8 @@ use recording::Recording;
 const STANDING: usize = 3;
 /// Most commands in a figure: a recording may have run for days.
 const LONGEST: usize = 100_000;
+/// Most states of the robot in a figure, which tells a thousand a second: as fine as it is printed.
+const FINE: usize = 2000;
 
 /// Why nothing was drawn.
 #[derive(Debug, thiserror::Error)]
@@ -63,7 +65,11 @@ pub fn plot(
             _ => format!("run-{}", i + 1),
         };
         let canvas = figure(scene, run, &name).canvas();
-        files.extend(canvas.write(&directory.join(name))?);
+        files.extend(canvas.write(&directory.join(&name))?);
+        if let Some(joints) = joints(scene, run, &recording.robot, &name) {
+            let name = format!("{name}-joints");
+            files.extend(joints.canvas().write(&directory.join(name))?);
+        }
     }
     if runs.is_empty() {
         // No cycles: what the camera saw.
@@ -164,6 +170,62 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
     Comparison {
         columns: vec![(plane, velocity)],
     }
+}
+
+/// The joints of the scene's arm in a run; `None` where the robot does not tell as many.
+fn joints(
+    scene: &Scene,
+    run: &[&CycleRecord],
+    states: &[RobotState],
+    name: &str,
+) -> Option<Joints> {
+    let (arm, begin_ns) = (scene.arm.as_ref()?, run.first()?.stamp.data_ns);
+    let end_ns = run.last()?.stamp.data_ns;
+    let during = states.iter().filter(|state| {
+        let is_whole = state.joints as usize == arm.joints.len();
+        is_whole && (begin_ns..=end_ns).contains(&state.stamp.published_ns)
+    });
+    let during: Vec<_> = during.collect();
+    let during: Vec<_> = (during.iter())
+        .step_by(during.len().div_ceil(FINE).max(1))
+        .collect();
+    during.first()?;
+    let seconds = |ns: u64| ns.saturating_sub(begin_ns) as f64 / 1e9;
+    let limits = arm.joints.iter().map(|joint| {
+        let [least, most] = joint.range;
+        [least, most, joint.velocity]
+    });
+    Some(Joints {
+        time_s: (during.iter())
+            .map(|state| seconds(state.stamp.published_ns))
+            .collect(),
+        q: during.iter().map(|state| state.q).collect(),
+        dq: during.iter().map(|state| state.dq).collect(),
+        limits: limits.collect(),
+        margin: arm.margin,
+        bound: bound(run, seconds),
+        marks: Vec::new(),
+        title: format!("{name}: joints"),
+    })
+}
+
+/// The spans of time in which a joint binds the command.
+fn bound(run: &[&CycleRecord], seconds: impl Fn(u64) -> f64) -> Vec<(usize, [f64; 2])> {
+    let mut spans: Vec<(usize, [f64; 2])> = Vec::new();
+    let mut last = None;
+    for cycle in run {
+        let found = cycle.bound();
+        let found = found.filter(|b| matches!(b.kind, ArmBound::Range | ArmBound::Speed));
+        let joint = found.map(|bound| bound.index);
+        let now_s = seconds(cycle.stamp.data_ns);
+        match (joint, spans.last_mut()) {
+            (Some(joint), Some((_, [_, end]))) if last == Some(joint) => *end = now_s,
+            (Some(joint), _) => spans.push((joint, [now_s; 2])),
+            (None, _) => (),
+        }
+        last = joint;
+    }
+    spans
 }
 
 /// The command of each period, and what was believed of the pattern's own motion.
@@ -269,6 +331,48 @@ mod tests {
         let runs = runs(&numbers);
         let counts: Vec<_> = runs.iter().map(Vec::len).collect();
         assert_eq!(counts, [3, 2]);
+    }
+
+    #[test]
+    fn joints_are_drawn_of_the_scenes_arm_with_the_spans_in_which_one_binds() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../ipc/scene/scenes/s.toml");
+        let text = format!("arm = 'panda.toml'\n{}", scene::PAPER_ROBOT);
+        let scene = Scene::parse(&text, path).unwrap();
+        let cycles = (1..=9).map(|number| {
+            let joint = [0, 4, 4, 4, 0, 4, 2, 2, 0][number as usize - 1];
+            CycleRecord {
+                arm_bound: u32::from(joint > 0),
+                arm_bound_index: joint,
+                ..cycle(number, number)
+            }
+        });
+        let cycles: Vec<_> = cycles.collect();
+        let run: Vec<_> = cycles.iter().collect();
+        let states = (1..=9000_u64).map(|k| {
+            let mut state = RobotState {
+                joints: 7,
+                ..RobotState::default()
+            };
+            state.stamp.published_ns = k * 100_000;
+            state
+        });
+        let mut states: Vec<_> = states.collect();
+        let drawn = joints(&scene, &run, &states, "run").unwrap();
+        // Those from the first cycle to the last.
+        assert!((1000..=2000).contains(&drawn.q.len()), "{}", drawn.q.len());
+        assert!(drawn.time_s[0] < 0.001 && (0.26..0.2667).contains(drawn.time_s.last().unwrap()));
+        assert_eq!((drawn.limits.len(), drawn.margin), (7, 0.2));
+        let spans = drawn.bound.iter().map(|(joint, [from, to])| {
+            let periods = |t: &f64| (t * 30.0).round() as usize;
+            (*joint, periods(from), periods(to))
+        });
+        assert!(
+            spans.eq([(4, 1, 3), (4, 5, 5), (2, 6, 7)]),
+            "{:?}",
+            drawn.bound
+        );
+        states.iter_mut().for_each(|state| state.joints = 6);
+        assert!(joints(&scene, &run, &states, "run").is_none());
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use arm::Mount;
 use foxglove::messages::{Log, Timestamp, log::Level};
 use foxglove::{Encode, Schema};
-use messages::Stamp;
+use messages::{Bound, Stamp};
 use recording::{Encoding, Sink, WriteError};
 use scene::Scene;
 
@@ -21,6 +21,8 @@ pub struct ViewWriter<S> {
     pub(crate) sink: S,
     /// State and hold of the last cycle.
     pub(crate) situation: Option<[u32; 2]>,
+    /// What of the arm binds the command of the last cycle with features.
+    pub(crate) bound: Option<Bound<'static>>,
     /// The scene, once it is known.
     pub(crate) scene: Option<Arc<Scene>>,
     /// The camera on the arm's flange, where it is known.
@@ -35,6 +37,7 @@ impl<S: Sink> ViewWriter<S> {
         Self {
             sink,
             situation: None,
+            bound: None,
             scene: None,
             mount: None,
             drawn_ns: HashMap::new(),

@@ -10,11 +10,15 @@ use messages::{
 };
 use nalgebra::Isometry3;
 use recording::{Recorded, Sink, WriteError};
+use scene::Arm;
 
 use crate::annotation::{AMBER, BLUE, CLEAR, GREY, RED, circle, lines, text};
+use crate::joint_bars::bars;
 use crate::scenery::CAMERA;
 use crate::view_writer::ViewWriter;
-use crate::world::{BASE, FLANGE, OBJECT, arm, base_from_flange, foreseen, isometry, pose};
+use crate::world::{
+    BASE, FLANGE, OBJECT, arm, base_from_flange, chain, foreseen, isometry, known_arm, pose,
+};
 
 /// A message that Foxglove is to show somehow.
 pub trait Viewed: Recorded {
@@ -65,6 +69,18 @@ impl Viewed for RobotState {
                 pose: Some(pose(&camera)),
             })?;
         }
+        if let Some(scene) = to.scene.clone()
+            && let Some(known) = &scene.arm
+            && known.joints.len() == self.joints as usize
+        {
+            let base = isometry(&chain(known).pose(&self.q.into())).inverse();
+            transform(to, &self.stamp, [CAMERA, BASE], &base)?;
+            to.draw("/world/arm", &self.stamp, |at| known_arm(known, self.q, at))?;
+            let bound = to.bound;
+            return to.draw("/camera/joints", &self.stamp, |at| {
+                bars(known, self.q, bound, at)
+            });
+        }
         if self.joints as usize != arm::JOINTS {
             return Ok(());
         }
@@ -86,6 +102,11 @@ impl Viewed for RobotState {
 impl Viewed for CycleRecord {
     fn view<S: Sink>(&self, to: &mut ViewWriter<S>) -> Result<(), WriteError> {
         const TOPIC: &str = "/camera/way_point";
+        if self.count > 0 {
+            to.bound = self.bound();
+        }
+        let scene = to.scene.clone();
+        let arm = scene.as_ref().and_then(|scene| scene.arm.as_ref());
         let published_ns = self.stamp.published_ns;
         if to.is_due(TOPIC, published_ns) {
             to.draw(TOPIC, &self.stamp, |at| {
@@ -104,7 +125,7 @@ impl Viewed for CycleRecord {
                 let points = ways.chain([lines(at, Type::LineList, ends, RED)]);
                 ImageAnnotations {
                     points: points.chain(ellipses).collect(),
-                    texts: vec![text(at, [8.0, 24.0], caption(self))],
+                    texts: vec![text(at, [8.0, 24.0], caption(self, arm))],
                     ..ImageAnnotations::default()
                 }
             })?;
@@ -123,7 +144,7 @@ impl Viewed for CycleRecord {
             Some(TwistState::Holding | TwistState::Braking) => Level::Warning,
             _ => Level::Info,
         };
-        let text = format!("cycle {}: {}", self.cycle, caption(self));
+        let text = format!("cycle {}: {}", self.cycle, caption(self, arm));
         to.log(level, "vpcd", text, published_ns)
     }
 }
@@ -178,8 +199,8 @@ fn transform<S: Sink>(
     })
 }
 
-/// State, cause and error in one line.
-fn caption(record: &CycleRecord) -> String {
+/// State, cause and error in one line, with the names of this arm.
+fn caption(record: &CycleRecord, arm: Option<&Arm>) -> String {
     let state = TwistState::from_code(record.state).map(|state| state.to_string());
     let mut text = state.unwrap_or_else(|| "unknown state".to_owned());
     if let Some(hold) = record.hold() {
@@ -195,6 +216,13 @@ fn caption(record: &CycleRecord) -> String {
         text += &format!(", arrives in {:.1} s", record.arrival_s);
     } else if record.knows_no_way() {
         text += ", no way known";
+    }
+    if let Some(bound) = record.bound() {
+        text += ", ";
+        text += &match arm {
+            Some(arm) => bound.named(&arm.joint_names, &arm.wall_names).to_string(),
+            None => bound.to_string(),
+        };
     }
     let [metres, radians] = record.drift_speed();
     if metres + radians > 0.0 {

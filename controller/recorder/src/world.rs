@@ -2,16 +2,18 @@
 //!
 //! Frames: `object` (the pattern), `camera`, and of an arm `flange` and `base`.
 
-use arm::{Chain, Joints};
+use std::f64::consts::PI;
+
+use arm::{Chain, Joints, Screw};
 use foxglove::messages::{
     Color, CubePrimitive, Duration, LinePrimitive, Point3, Pose, SceneEntity, SceneUpdate,
     SpherePrimitive, TextPrimitive, Timestamp, Vector3, line_primitive::Type,
 };
 use messages::CycleRecord;
-use nalgebra::{DMatrix, Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
+use nalgebra::{DMatrix, Isometry3, Matrix3, Rotation3, RowVector3, Translation3, UnitQuaternion};
 use scene::{Camera, Scene};
 
-use crate::annotation::{BLUE, GREY, RED, time};
+use crate::annotation::{BLUE, GREY, RED, SHADE, time};
 use crate::scenery::CAMERA;
 
 /// Frame of the pattern, which stands still.
@@ -26,6 +28,8 @@ const DEPTH: f64 = 0.4;
 const POINT: f64 = 0.02;
 /// Thickness of the arm, m.
 const ARM: f64 = 0.06;
+/// Side of the drawn part of a wall, m.
+const WALL: f64 = 1.5;
 /// A foreseen way that is not foreseen again is gone after this time, s.
 const FORESEEN: i32 = 1;
 
@@ -91,15 +95,66 @@ pub(crate) fn foreseen(scene: &Scene, record: &CycleRecord, at: Option<Timestamp
 /// The arm at these joint positions, as a line through its joints in the base.
 pub(crate) fn arm(q: [f64; arm::JOINTS], at: Option<Timestamp>) -> SceneUpdate {
     let places = Chain::FRANKA.places(&Joints::from(q));
+    update([drawn(places.map(Into::into).to_vec(), at)])
+}
+
+/// An arm through these places in the base.
+fn drawn(places: Vec<[f64; 3]>, at: Option<Timestamp>) -> SceneEntity {
     let mut entity = entity("arm", BASE, at);
-    let spheres = places.iter().map(|&place| sphere(place.into(), ARM, GREY));
+    let spheres = places.iter().map(|&place| sphere(place, ARM, GREY));
     entity.spheres = spheres.collect();
-    let line = lines(Type::LineStrip, ARM, GREY, places.map(Into::into));
+    let line = lines(Type::LineStrip, ARM, GREY, places);
     entity.lines.push(LinePrimitive {
         scale_invariant: false,
         ..line
     });
-    update([entity])
+    entity
+}
+
+/// The kinematics of a scene's arm; its chain ends at the camera.
+pub fn chain(arm: &scene::Arm) -> Chain {
+    let screws = arm.joints.iter().map(|joint| Screw {
+        axis: joint.axis.into(),
+        point: joint.point.into(),
+        slides: joint.slides,
+    });
+    let rotation = Matrix3::from_rows(&arm.rotation.map(RowVector3::from));
+    let camera = arm::Pose::from_parts(
+        Translation3::from(arm.translation),
+        Rotation3::from_matrix_unchecked(rotation),
+    );
+    Chain::new(&screws.collect::<Vec<_>>(), camera)
+}
+
+/// A scene's arm at these joint positions, up to its camera, and its walls, in the base.
+pub(crate) fn known_arm(
+    known: &scene::Arm,
+    q: [f64; arm::JOINTS],
+    at: Option<Timestamp>,
+) -> SceneUpdate {
+    let places = chain(known).places(&Joints::from(q));
+    let count = known.joints.len();
+    let [first @ .., camera] = places;
+    let places = first.into_iter().take(count + 1).chain([camera]);
+    let mut arm = drawn(places.map(Into::into).collect(), at);
+    arm.cubes = known.walls.iter().map(wall).collect();
+    update([arm])
+}
+
+/// A square of a wall, as near to the base as it gets.
+fn wall(wall: &scene::Wall) -> CubePrimitive {
+    let normal = nalgebra::Vector3::from(wall.normal);
+    let turn = UnitQuaternion::rotation_between(&nalgebra::Vector3::z(), &normal);
+    let half_turn = || UnitQuaternion::from_axis_angle(&nalgebra::Vector3::x_axis(), PI);
+    let place = Translation3::from(normal * wall.offset);
+    CubePrimitive {
+        pose: Some(pose(&Isometry3::from_parts(
+            place,
+            turn.unwrap_or_else(half_turn),
+        ))),
+        size: Some(vector([WALL, WALL, 1e-3])),
+        color: Some(SHADE),
+    }
 }
 
 /// The flange in the base at these joint positions.
@@ -310,6 +365,33 @@ mod tests {
         // It looks at the pattern: its far corners are nearer to it.
         let far = &goal.lines[0].points[1];
         assert!(far.z.abs() < apex.z.abs(), "{far:?}");
+    }
+
+    #[test]
+    fn a_scenes_arm_ends_at_its_camera_and_has_its_walls() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../ipc/scene/scenes/s.toml");
+        let text = format!("arm = 'panda.toml'\n{}", scene::PAPER_ROBOT);
+        let mut known = Scene::parse(&text, path).unwrap().arm.unwrap();
+        let (normal, offset) = ([0.0, -1.0, 0.0], -0.6);
+        known.walls.push(scene::Wall { normal, offset }).unwrap();
+        let update = known_arm(&known, arm::READY, None);
+        let points = &update.entities[0].lines[0].points;
+        let flange = base_from_flange(arm::READY).translation.vector;
+        let camera = &points[8];
+        let away = nalgebra::Vector3::new(camera.x, camera.y, camera.z) - flange;
+        // 4 cm before the flange, 7 cm aside.
+        assert!((away.norm() - 0.04f64.hypot(0.07)).abs() < 1e-9, "{away}");
+        let wall = update.entities[0].cubes[0].pose.as_ref().unwrap();
+        let place = wall.position.unwrap();
+        assert_eq!((place.x, place.y, place.z), (0.0, 0.6, 0.0));
+        let turn = wall.orientation.unwrap();
+        let turn = nalgebra::Quaternion::new(turn.w, turn.x, turn.y, turn.z);
+        let away = UnitQuaternion::from_quaternion(turn) * nalgebra::Vector3::z();
+        assert!((away + nalgebra::Vector3::y()).norm() < 1e-9, "{away}");
+        // With six joints, none is at the base's origin.
+        known.joints.pop();
+        let update = known_arm(&known, arm::READY, None);
+        assert_eq!(update.entities[0].spheres.len(), 8);
     }
 
     #[test]

@@ -85,6 +85,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
                 dump: dump.clone(),
                 flight: Recorder::nowhere(1000),
                 notifier: Notifier::default(),
+                arm: None,
             };
             let recorder = telemetry.start(&place.domain()).unwrap();
             let stop_file = StopFile::open(domain.directory()).unwrap();

@@ -13,6 +13,7 @@
 //! | c = P (b - g v) | `clearance_px` | its clearance as the solver has it, px |
 //! | P | `PX` | weight of a damper against a clearance in the image |
 
+pub use ::arm::Cause;
 use ::arm::description::{MAX_POINTS, MAX_WALLS};
 use ::arm::{Arm, Bound, Chain, Dampers, JOINTS, JointLimits, Joints, Limits, Pose, Screw, Wall};
 use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3};
@@ -23,6 +24,11 @@ use crate::{DOF, Twist};
 /// Pixels that 1 rad/s, m/s or 1/s of a damper counts as: above what the same motion moves in the
 /// image.
 const PX: f64 = 1000.0;
+
+/// A damper binds a command that leaves less than this share of what a twist at the scene's limits
+/// would take of it. Commands that a damper stops leave at most 0.002, by the solver's accuracy,
+/// and a camera that waits at a bound comes nearer without end; few others leave less than 0.02.
+const NEAR: f64 = 0.01;
 
 /// The arm of a scene; its chain ends at the camera.
 pub fn of(scene: &scene::Arm) -> Arm {
@@ -104,6 +110,21 @@ pub(crate) fn violations_px<'a>(
 ) -> impl Iterator<Item = f64> + 'a {
     let bounds = dampers.into_iter().flat_map(|all| &all.bounds);
     bounds.map(|bound| (-clearance_px(bound, twist)).max(0.0))
+}
+
+/// What binds a command within these limits: the cause of the damper of which it leaves the least
+/// share; `None` where it leaves enough of all.
+pub(crate) fn cause(dampers: Option<&Dampers>, twist: &Twist, limits: &Twist) -> Option<Cause> {
+    let left = |bound: &Bound| {
+        let most = bound.gradient.iter().zip(limits);
+        let most: f64 = most.map(|(g, limit)| (g * limit).abs()).sum();
+        (bound.left(twist) / most, bound.cause)
+    };
+    let all = dampers?.bounds.iter().map(left);
+    // A NaN, of a bound that no twist moves, is not near.
+    let near = all.filter(|(share, _)| *share <= NEAR);
+    let least = near.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some(least.1)
 }
 
 /// The part of a command that its dampers allow, its direction kept.

@@ -3,7 +3,7 @@
 use ::arm::Joints;
 use scene::Scene;
 
-use crate::arm::Posture;
+use crate::arm::{Cause, Posture};
 use crate::blind::Blind;
 use crate::command::{Policy, Present};
 use crate::crossing::{self, Crossing};
@@ -80,6 +80,8 @@ pub struct Step {
     /// Whether the camera only brakes and stands, because no way is known and nothing has improved
     /// ([`crate::patience`]).
     pub stands: bool,
+    /// What of the arm binds the twist, where the arm is known.
+    pub cause: Option<Cause>,
     /// How the solver ended.
     pub status: Status,
     /// Whether the memory was asked, and whether its answer was used.
@@ -440,6 +442,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             }
         }
         step.twist = self.slowed(&initial, &step.twist);
+        step.cause = self.cause(&initial, &step.twist);
         self.predict(&initial, &step.twist);
         let policy = Policy {
             task: &self.task,
@@ -864,6 +867,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let pairs = slower.iter_mut().zip(with);
         pairs.for_each(|(v, with)| *v -= unsure * (*v - with));
         limit::approach(&slower, &self.state.standing, &self.task, self.task.period)
+    }
+
+    /// What of the arm binds a command.
+    fn cause(&self, initial: &InitialState, twist: &Twist) -> Option<Cause> {
+        let seconds = match self.settings.strategy {
+            Strategy::Ibvs => self.task.reach,
+            _ => self.task.period,
+        };
+        let dampers = self.task.dampers(initial.q.as_ref(), seconds);
+        arm::cause(dampers.as_ref(), twist, &self.task.limits)
     }
 
     /// Clearance kept from every border beside the settings': for hidden points, and for what is not

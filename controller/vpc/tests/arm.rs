@@ -6,6 +6,7 @@ use nalgebra::{Point3, Rotation3, Translation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
+use vpc::arm::Cause;
 use vpc::{Law, Measurement, Refusal, Settings, Strategy};
 
 const PERIOD_NS: u64 = 33_333_333;
@@ -245,6 +246,47 @@ fn a_law_with_an_arm_waits_for_its_joints() {
     assert!(law.step(&late, None).is_ok());
     law.see_joints(&READY[..6], 590_000_000);
     assert_eq!(law.step(&late, None), Err(Refusal::NoJoints));
+}
+
+#[test]
+fn a_step_tells_what_of_the_arm_binds_its_command() {
+    // Down to the goal from 10 cm above it, and up from as far below.
+    let causes = |change: &dyn Fn(&mut scene::Arm, &Pose)| {
+        [-0.1, 0.1].map(|away| {
+            let mut scene = scene(true);
+            let camera = panda().chain.pose(&Joints::from(READY));
+            change(scene.arm.as_mut().unwrap(), &camera);
+            let mut law = law(&scene, Strategy::Previous);
+            let goal = Pose::from_parts(
+                Translation3::from(scene.goal.translation),
+                Rotation3::new(Vector3::from(scene.goal.rotation)),
+            );
+            let points = seen(&scene, &(Translation3::new(0.0, 0.0, -away) * goal)).unwrap();
+            law.see_joints(&READY, 0);
+            let measured = Measurement::from_points(&points);
+            // It speeds up first.
+            law.sent(&[0.0, 0.0, -0.1 * away.signum(), 0.0, 0.0, 0.0], 0);
+            law.step(&measured, None).unwrap().cause
+        })
+    };
+    assert_eq!(causes(&|_, _| ()), [None; 2]);
+    let floor = |arm: &mut scene::Arm, camera: &Pose| {
+        let (normal, offset) = ([0.0, 0.0, 1.0], camera.translation.z);
+        arm.walls.push(scene::Wall { normal, offset }).unwrap();
+    };
+    assert_eq!(causes(&floor), [Some(Cause::Wall(0)), None]);
+    let elbow = |arm: &mut scene::Arm, _: &Pose| {
+        arm.joints[3].range[1] = READY[3] + arm.margin;
+    };
+    assert_eq!(causes(&elbow), [None, Some(Cause::Joint(3))]);
+    let slow = |arm: &mut scene::Arm, _: &Pose| arm.joints[3].velocity = 0.01;
+    assert_eq!(causes(&slow), [Some(Cause::Speed(3)); 2]);
+    let strained = |arm: &mut scene::Arm, _: &Pose| arm.strain = 0.05;
+    let of_strain = causes(&strained);
+    assert!(
+        of_strain.contains(&Some(Cause::Singularity)),
+        "{of_strain:?}"
+    );
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use scene::{FileError, Mask, Part, Scene};
+use scene::{Arm, FileError, Mask, Part, Scene};
 
 use crate::view::View;
 
@@ -55,6 +55,11 @@ impl ImagePlane {
         {
             (self.scene, self.modified) = (Some(scene), modified);
         }
+    }
+
+    /// The arm of the scene.
+    pub fn arm(&self) -> Option<&Arm> {
+        self.scene.as_ref()?.arm.as_ref()
     }
 
     /// Whether the scene is known.

@@ -12,6 +12,7 @@ pub mod flight;
 pub mod foxglove;
 pub mod image_plane;
 pub mod init;
+pub mod joints;
 pub mod latency;
 pub mod manual;
 pub mod metrics;

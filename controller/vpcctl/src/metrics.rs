@@ -10,7 +10,9 @@ use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::Html;
 use axum::routing::get;
-use messages::{CycleRecord, Hold, PhaseCode, RealTime, RobotFaults, RobotMode, Table, TwistState};
+use messages::{
+    ArmBound, CycleRecord, Hold, PhaseCode, RealTime, RobotFaults, RobotMode, Table, TwistState,
+};
 use program::Exit;
 
 use crate::failure::Failure;
@@ -32,7 +34,7 @@ const INDEX: &str = "<!doctype html><title>vpcctl</title><a href=\"/metrics\">me
 
 /// Type, name and help of each family. Counters of the daemon begin with it; those of the observer,
 /// and histograms, with vpcctl.
-const FAMILIES: [&str; 31] = [
+const FAMILIES: [&str; 32] = [
     "gauge vpc_up Whether cycles are coming.",
     "counter vpc_observer_missed_records_total Records of cycles that this exporter missed.",
     "counter vpc_observer_refused_messages_total Messages that broke the contract.",
@@ -60,6 +62,7 @@ const FAMILIES: [&str; 31] = [
     "gauge vpc_clearance_pixels Least clearance from an occlusion.",
     "gauge vpc_twist_linear_meters_per_second Camera velocity sent, camera frame.",
     "gauge vpc_twist_angular_radians_per_second Camera velocity sent, camera frame.",
+    "gauge vpc_arm_bound 1 for what of the arm binds the command, 0 for the others.",
     "gauge vpc_robot_mode 1 for the present mode, 0 for the others.",
     "gauge vpc_robot_fault 1 where the robot reports it.",
     "gauge vpc_image_rate_hertz Frames of the camera a second, lost ones too.",
@@ -252,6 +255,7 @@ fn daemon(out: &mut Text, last: &CycleRecord) {
         let axis = ["axis=\"x\"", "axis=\"y\"", "axis=\"z\""][i % 3];
         out.sample(if i < 3 { linear } else { angular }, axis, number(*value));
     }
+    out.codes("vpc_arm_bound", "bound", &ArmBound::TABLE, last.arm_bound);
 }
 
 fn robot(out: &mut Text, view: &View, now_ns: u64) {
@@ -307,6 +311,8 @@ mod tests {
             "vpc_phase_duration_seconds_count{phase=\"step\"} 3",
             "vpc_state{state=\"moving\"} 1",
             "vpc_state{state=\"holding\"} 0",
+            "vpc_arm_bound{bound=\"none\"} 1",
+            "vpc_arm_bound{bound=\"wall\"} 0",
             "vpc_observed_cycles_total{cause=\"none\"} 3",
             "vpc_cycles_total 3",
             "vpc_up 1",

@@ -2,7 +2,10 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use messages::{CycleRecord, Features, Hold, ImageHeader, Order, Received, RobotState, TwistState};
+use messages::{
+    Bound, CycleRecord, Features, Hold, ImageHeader, Order, Received, RobotState, TwistState,
+};
+use scene::Arm;
 
 use crate::latency::{Histogram, STAGES, durations};
 use crate::units::duration;
@@ -41,6 +44,8 @@ pub struct View {
     pub seen: Option<CycleRecord>,
     /// The newest state of the robot.
     pub robot: Option<RobotState>,
+    /// The arm of the daemon's scene, where that is known.
+    pub arm: Option<Arm>,
     /// The newest message of the camera.
     pub features: Option<Features>,
     /// Durations of each of [`STAGES`].
@@ -211,6 +216,15 @@ impl View {
         }
     }
 
+    /// What of the arm binds the law's command, of the newest cycle with features.
+    pub fn bound(&self) -> Option<Bound<'_>> {
+        let bound = self.seen.as_ref().or(self.latest())?.bound()?;
+        Some(match &self.arm {
+            Some(arm) => bound.named(&arm.joint_names, &arm.wall_names),
+            None => bound,
+        })
+    }
+
     /// How long ago the camera sent the newest features, ns, where that is too long.
     pub fn camera_silence_ns(&self, now_ns: u64) -> Option<u64> {
         let sent = self.features.map(|features| features.stamp.published_ns);
@@ -228,6 +242,14 @@ impl View {
         match (hold, self.camera_silence_ns(now_ns)) {
             (Hold::Stale | Hold::Lost | Hold::NoFeatures, Some(age)) => {
                 Some(format!("camera silent for {}", duration(age)))
+            }
+            (Hold::NoWay, _) if let Some(bound) = self.bound() => Some(format!("{hold}: {bound}")),
+            (Hold::NoJoints, _) if let Some(arm) = &self.arm => {
+                let told = self.robot_at(now_ns).map_or(0, |robot| robot.joints);
+                let joints = arm.joints.len();
+                Some(format!(
+                    "{hold}: the robot tells {told}, the scene's arm has {joints}"
+                ))
             }
             _ => Some(hold.to_string()),
         }
@@ -373,6 +395,32 @@ pub(crate) mod tests {
         view.robot = Some(RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], 0));
         assert!(view.robot_at(1_000_000_000).is_some());
         assert!(view.robot_at(1_000_000_001).is_none());
+    }
+
+    #[test]
+    fn no_way_is_told_with_what_binds_and_unknown_joints_with_their_number() {
+        let no_way = record(1, TwistState::Holding, Hold::NoWay);
+        let words = |view: &View| view.cause_words(0).unwrap();
+        let view = fed(&[no_way]);
+        assert_eq!(words(&view), "no way known");
+        let mut view = crate::joints::tests::with_arm(view, 0);
+        assert_eq!(
+            words(&view),
+            "no way known: panda_joint4 is at the end of its range"
+        );
+        view.arm = None;
+        assert_eq!(
+            words(&view),
+            "no way known: joint 4 is at the end of its range"
+        );
+        let view = fed(&[record(1, TwistState::Holding, Hold::NoJoints)]);
+        assert_eq!(words(&view), "joints unknown");
+        let mut view = crate::joints::tests::with_arm(view, 0);
+        view.robot.as_mut().unwrap().joints = 6;
+        let told = "joints unknown: the robot tells 6, the scene's arm has 7";
+        assert_eq!(words(&view), told);
+        view.robot = None;
+        assert_eq!(words(&view), told.replace('6', "0"));
     }
 
     #[test]

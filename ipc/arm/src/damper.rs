@@ -44,8 +44,10 @@ pub const MAX_BOUNDS: usize = 3 * JOINTS + MAX_WALLS * MAX_POINTS;
 /// What bounds a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cause {
-    /// The joint of this index, base to flange: the end of its range, or its speed.
+    /// The end of the range of the joint of this index, base to flange.
     Joint(usize),
+    /// The greatest speed of the joint of this index.
+    Speed(usize),
     /// A singular posture.
     Singularity,
     /// The wall of this index.
@@ -110,11 +112,11 @@ impl Dampers {
             for (side, sign) in [(0, -1.0), (1, 1.0)] {
                 let left = joint.room(q[k])[side] - arm.margin;
                 let fastest = arm.speed * joint.speeds(q[k])[side];
-                add(
-                    row.map(|g| sign * g),
-                    damped(left).min(fastest),
-                    Cause::Joint(k),
-                );
+                let (most, cause) = match damped(left) {
+                    most if most < fastest => (most, Cause::Joint(k)),
+                    _ => (fastest, Cause::Speed(k)),
+                };
+                add(row.map(|g| sign * g), most, cause);
             }
         }
         let mut ramps = 1.0;

@@ -1,5 +1,7 @@
 //! What one cycle of the controller did, and how long it took.
 
+use core::fmt;
+
 use crate::codes::{bits, codes};
 use crate::features::{MAX_POINTS, pairs};
 use crate::field::Stamp;
@@ -150,6 +152,8 @@ codes! {
         Elsewhere = 29 => "features elsewhere",
         /// It has arrived, and stands since then, as `safety.after_arrival` wants it.
         Arrived = 30 => "arrived",
+        /// The scene names an arm, and no positions of as many joints came for 0.5 s.
+        NoJoints = 31 => "joints unknown",
     }
 }
 
@@ -157,6 +161,61 @@ impl Hold {
     /// The number of a hold, or that of none.
     pub fn number(hold: Option<Self>) -> u32 {
         hold.map_or(0, Self::code)
+    }
+}
+
+codes! {
+    /// What of the arm binds the command.
+    ArmBound {
+        none = 0 => "none" " Nothing, or the arm is not known.",
+        /// A joint is at the end of its range.
+        Range = 1 => "joint range",
+        /// A joint has its greatest speed.
+        Speed = 2 => "joint speed",
+        /// The posture is nearly singular.
+        Singularity = 3 => "singularity",
+        /// The camera, or a point of the arm, is at a wall.
+        Wall = 4 => "wall",
+    }
+}
+
+/// What of the arm binds a command, in words for people.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bound<'a> {
+    /// What it is.
+    pub kind: ArmBound,
+    /// Of the joint, base to flange, or of the wall; from 0.
+    pub index: usize,
+    /// Name of the joint or wall; empty if it is not known.
+    pub name: &'a str,
+}
+
+impl<'a> Bound<'a> {
+    /// With its name, from those of all joints, base to flange, and of all walls.
+    pub fn named<T: AsRef<str>>(self, joints: &'a [T], walls: &'a [T]) -> Self {
+        let names = match self.kind {
+            ArmBound::Range | ArmBound::Speed => joints,
+            ArmBound::Wall => walls,
+            ArmBound::Singularity => &[],
+        };
+        let name = names.get(self.index).map_or("", AsRef::as_ref);
+        Self { name, ..self }
+    }
+}
+
+impl fmt::Display for Bound<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { kind, index, name } = *self;
+        let number = index + 1;
+        match (kind, name) {
+            (ArmBound::Range, "") => write!(f, "joint {number} is at the end of its range"),
+            (ArmBound::Range, _) => write!(f, "{name} is at the end of its range"),
+            (ArmBound::Speed, "") => write!(f, "joint {number} is at its greatest speed"),
+            (ArmBound::Speed, _) => write!(f, "{name} is at its greatest speed"),
+            (ArmBound::Singularity, _) => f.write_str("near a singular posture"),
+            (ArmBound::Wall, "") => write!(f, "at wall {number}"),
+            (ArmBound::Wall, _) => write!(f, "at wall {number} ({name})"),
+        }
     }
 }
 
@@ -375,6 +434,10 @@ message! {
         visible: u32,
         /// Cycles in a row that the law answered by prediction, because no image came.
         predicted: u32,
+        /// What of the arm binds the law's command.
+        arm_bound: u32 [code(ArmBound)],
+        /// Index of that joint, base to flange, or of that wall, from 0.
+        arm_bound_index: u32,
     }
     // A buffer for recorders: half a minute at 30 Hz, a good part of a second in lockstep.
     "vpc/cycles" from "controller": Qos { history: 0, buffer: 1024, subscribers: 8, publishers: 1 }
@@ -384,6 +447,15 @@ impl CycleRecord {
     /// Why the law's twist was not sent; `None` if it was. Reception refuses unknown codes.
     pub fn hold(&self) -> Option<Hold> {
         Hold::from_code(self.hold)
+    }
+
+    /// What of the arm binds the law's command, without a name.
+    pub fn bound(&self) -> Option<Bound<'static>> {
+        Some(Bound {
+            kind: ArmBound::from_code(self.arm_bound)?,
+            index: self.arm_bound_index as usize,
+            name: "",
+        })
     }
 
     /// The features used (u, v), px.
@@ -472,6 +544,24 @@ mod tests {
         assert!(!RealTime::default().is_degraded() && !RealTime::ASKED.is_degraded());
         let bits = RealTime::ASKED.with(RealTime::NO_LOCK);
         assert!(bits.is_degraded() && bits.has(RealTime::NO_LOCK) && !bits.has(RealTime::NO_CPU));
+    }
+
+    #[test]
+    fn a_bound_is_told_by_name_or_by_number_from_one() {
+        let mut record = CycleRecord::default();
+        assert_eq!(record.bound(), None);
+        (record.arm_bound, record.arm_bound_index) = (ArmBound::Range.code(), 3);
+        let bound = record.bound().unwrap();
+        assert_eq!(bound.to_string(), "joint 4 is at the end of its range");
+        let (joints, walls) = (["a", "b", "c", "elbow"], ["table"]);
+        let named = bound.named(&joints, &walls);
+        assert_eq!(named.to_string(), "elbow is at the end of its range");
+        assert_eq!(bound.named(&joints[..3], &walls), bound);
+        (record.arm_bound, record.arm_bound_index) = (ArmBound::Wall.code(), 0);
+        let bound = record.bound().unwrap();
+        assert_eq!(bound.to_string(), "at wall 1");
+        let named = bound.named(&joints, &walls);
+        assert_eq!(named.to_string(), "at wall 1 (table)");
     }
 
     #[test]

@@ -36,8 +36,8 @@ mod twist;
 
 pub use codes::{Name, Table};
 pub use cycle::{
-    ClockMode, CycleFlags, CycleRecord, ForesightCode, Hold, InputCode, MAX_NEIGHBOURS,
-    PATH_PLACES, PhaseCode, RealTime, RecallCode, SolverStatus, StrategyCode,
+    ArmBound, Bound, ClockMode, CycleFlags, CycleRecord, ForesightCode, Hold, InputCode,
+    MAX_NEIGHBOURS, PATH_PLACES, PhaseCode, RealTime, RecallCode, SolverStatus, StrategyCode,
 };
 pub use features::{Features, MAX_POINTS};
 pub use field::{Field, FieldType, Kind, Meaning, Stamp, Struct, Values, ValuesMut, Wire};

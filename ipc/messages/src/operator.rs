@@ -60,6 +60,8 @@ codes! {
         /// Refused: an operator has stopped it since it was last armed, and the request does not
         /// name the newest stop.
         Stopped = 13 => "refused: stopped since it was last armed",
+        /// Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
+        NoJoints = 14 => "refused: the arm's joints are unknown",
     }
 }
 

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use toml_schema::{Document, FileError};
 use urdf_rs::{Joint, JointType};
 
-use crate::model::{Arm, ArmJoint, MAX_JOINTS, MAX_WALL_POINTS, MAX_WALLS, Wall};
+use crate::model::{Arm, ArmJoint, MAX_JOINTS, MAX_WALL_POINTS, MAX_WALLS, Name, Wall};
 
 /// Largest number of an origin, m and rad; a NaN is none.
 const MOST_ORIGIN: f64 = 1e3;
@@ -87,6 +87,10 @@ struct Mounting {
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct WallTable {
+    /// Name in messages.
+    #[serde(default)]
+    #[schemars(extend("x-allowed" = "at most 32 bytes"))]
+    name: String,
     /// Direction away from the wall; of any length but zero.
     #[schemars(inner(range(min = -1e3, max = 1e3)))]
     normal: [f64; 3],
@@ -191,7 +195,9 @@ impl Checker {
             speed: tables.speed,
             strain: tables.strain,
             goal: heapless::Vec::new(),
+            joint_names: heapless::Vec::new(),
             walls: heapless::Vec::new(),
+            wall_names: heapless::Vec::new(),
             points: heapless::Vec::new(),
         };
         for joint in path {
@@ -203,6 +209,8 @@ impl Checker {
             let rotation = Rotation3::from_euler_angles(roll, pitch, yaw);
             at *= IsometryMatrix3::from_parts(Translation3::from(xyz), rotation);
             if joint.joint_type != JointType::Fixed {
+                let name = Name::try_from(joint.name.as_str());
+                arm.joint_names.extend([name.unwrap_or_default()]);
                 let acceleration = tables.acceleration.get(arm.joints.len());
                 // There is room: they were counted.
                 arm.joints.extend([self.joint(
@@ -229,6 +237,11 @@ impl Checker {
                 let (key, found) = (format!("wall[{i}].normal"), format!("{:?}", wall.normal));
                 self.document.refuse(&key, found, "a direction, not zero")
             })?;
+            let name = Name::try_from(wall.name.as_str());
+            arm.wall_names.extend([name.map_err(|_| {
+                let key = format!("wall[{i}].name");
+                (self.document).refuse(&key, &wall.name, "at most 32 bytes")
+            })?]);
             arm.walls.extend([Wall {
                 normal: normal.into_inner().into(),
                 offset: wall.offset,

@@ -75,8 +75,12 @@ pub struct Arm {
     pub strain: f64,
     /// Joint positions at which the camera sees the goal, rad; empty where they are not known.
     pub goal: Vec<f64, MAX_JOINTS>,
+    /// Names of the joints in the URDF; empty where one is longer than a [`Name`].
+    pub joint_names: Vec<Name, MAX_JOINTS>,
     /// Walls of its workspace.
     pub walls: Vec<Wall, MAX_WALLS>,
+    /// Names of the walls; empty where the file gives none.
+    pub wall_names: Vec<Name, MAX_WALLS>,
     /// Points that keep behind the walls beside the camera's origin, along camera axes, m.
     pub points: Vec<[f64; 3], MAX_WALL_POINTS>,
 }

@@ -56,10 +56,14 @@ fn a_scene_without_the_key_knows_no_arm() {
 fn walls_and_points_are_in_the_frames_that_the_schema_says() {
     let text = ARM.replace(
         "[camera]",
-        "points = [[0.0, 0.0, 0.1]]\n[[wall]]\nnormal = [0.0, 0.0, 2.0]\noffset = 0.02\n[camera]",
+        "points = [[0.0, 0.0, 0.1]]\n[[wall]]\nname = \"table\"\nnormal = [0.0, 0.0, 2.0]\noffset = 0.02\n[camera]",
     );
     let arm = read(&text, PANDA).unwrap().arm.unwrap();
     assert_eq!(arm.walls[0].normal, [0.0, 0.0, 1.0]);
+    assert_eq!(
+        (&*arm.wall_names[0], &*arm.joint_names[3]),
+        ("table", "panda_joint4")
+    );
     // Along the camera's axes it is 6 cm farther on, and as far back as the camera is aside.
     let [x, y, z] = arm.points[0];
     assert!((z - 0.06).abs() < 1e-12 && (x.hypot(y) - 0.07).abs() < 1e-12);
@@ -101,6 +105,13 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
                 "[[wall]]\nnormal = [0.0, 0.0, 0.0]\noffset = 0.0\n[camera]",
             ),
             vec!["wall[0].normal"],
+        ),
+        (
+            arm(
+                "[camera]",
+                "[[wall]]\nname = \"a table in the middle of the cell\"\nnormal = [0.0, 0.0, 1.0]\noffset = 0.0\n[camera]",
+            ),
+            vec!["wall[0].name = a table", "at most 32 bytes"],
         ),
         (arm("urdf =", "ufo = 1\nurdf ="), vec!["ufo"]),
         (urdf("<robot", "<rob"), vec!["cell/panda.urdf: "]),

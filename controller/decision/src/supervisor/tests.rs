@@ -175,6 +175,7 @@ fn a_cause_that_passes_lets_the_law_go_on_by_itself() {
         Hold::Mixed,
         Hold::Elsewhere,
         Hold::Order,
+        Hold::NoJoints,
     ] {
         let mut bench = Bench::moving();
         assert_eq!(bench.bad(hold).state, TwistState::Braking);
@@ -627,4 +628,13 @@ fn without_a_way_it_stands_armed_and_may_be_armed() {
     assert_eq!(bench.supervisor.request(Action::Arm, 0), Outcome::Done);
     assert_eq!(no_way(&mut bench).state, TwistState::Holding);
     bench.resumes();
+}
+
+#[test]
+fn without_the_joints_of_the_arm_it_cannot_be_armed() {
+    let mut bench = Bench::new(false);
+    bench.bad(Hold::NoJoints);
+    assert_eq!(bench.ask(Action::Arm), Outcome::NoJoints);
+    bench.good();
+    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
 }

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use messages::{CycleRecord, Hold, RealTime};
 use program::Exit;
+use scene::Arm;
 
-use super::Finding;
+use super::{Finding, arm};
 use crate::presence::Presence;
 use crate::settings::Settings;
 use crate::status::{self, Asking, Status, lacks};
@@ -18,14 +19,19 @@ const SILENT_NS: u64 = 500_000_000;
 /// The domain of the service (systemd/vpcd.service).
 const SERVICE: &str = "/run/vpcd";
 
-pub(super) fn examine(directory: &Path, watch: Duration) -> Vec<Finding> {
+/// Looks at the daemon and its robot, which should have the arm that is `given`, or else that of the
+/// daemon's scene.
+pub(super) fn examine(directory: &Path, watch: Duration, given: Option<&Arm>) -> Vec<Finding> {
     let mut findings = Vec::new();
     match Presence::of(directory) {
         Presence::Process(process) => findings.push(life(process)),
         _ => findings.extend(elsewhere(directory, Path::new(SERVICE))),
     }
     match status::look(directory, watch, Asking::Always) {
-        Ok(status) => findings.extend(health(&status, &Settings::of(directory))),
+        Ok(mut status) => {
+            status.view.arm = given.cloned().or(status.view.arm);
+            findings.extend(health(&status, &Settings::of(directory)));
+        }
         Err(failure) if failure.exit == Exit::NoDaemon => {
             let path = directory.display();
             let remedy =
@@ -95,7 +101,11 @@ fn health(status: &Status, settings: &Settings) -> Vec<Finding> {
     }
     let state = word(status.state());
     let mut findings = vec![match status.hold() {
-        Some(hold) => Finding::warn(what, format!("{state}: {hold}"), remedy(hold)),
+        Some(hold) => {
+            let cause = status.view.cause_words(status.now_ns);
+            let cause = cause.unwrap_or_else(|| hold.to_string());
+            Finding::warn(what, format!("{state}: {cause}"), remedy(hold))
+        }
         None => Finding::ok(what, state),
     }];
     let mut warn = |what, words: String, remedy| findings.push(Finding::warn(what, words, remedy));
@@ -108,6 +118,7 @@ fn health(status: &Status, settings: &Settings) -> Vec<Finding> {
         warn("slots", words, "end observers that are not needed");
     }
     findings.push(robot(&status.view, status.now_ns, settings));
+    findings.extend(arm::examine(&status.view, status.now_ns));
     let mut warn = |what, words: String, remedy| findings.push(Finding::warn(what, words, remedy));
     match status.view.latest() {
         Some(last) => findings.extend(cycles(last)),
@@ -214,6 +225,9 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::Arrived => "vpcctl arm, for the next run; or safety.after_arrival = \"follow\"",
         Hold::NoRobot => {
             "start the robot's client; `safety.robot = \"optional\"` where the robot tells nothing"
+        }
+        Hold::NoJoints => {
+            "the robot must tell the positions of all joints of the arm that the scene names; `vpcctl doctor --scene FILE` compares them"
         }
         Hold::NotFollowed => {
             "see why the robot does not move as commanded (its mode, its limits, the frames of its client), then `vpcctl arm`"

@@ -1,5 +1,6 @@
 //! `vpcctl doctor`: what is wrong with this machine or set-up, and how to fix it.
 
+mod arm;
 mod daemon;
 mod logind;
 
@@ -53,8 +54,10 @@ impl Finding {
 
 /// Looks at everything. A domain that does not exist is not created.
 pub fn examine(directory: &Path, arguments: &DoctorArguments) -> Vec<Finding> {
-    let mut findings = daemon::examine(directory, arguments.watch);
     let scene = arguments.scene.as_deref().map(Scene::read);
+    let given = scene.as_ref().and_then(|scene| scene.as_ref().ok());
+    let arm = given.and_then(|scene| scene.arm.as_ref());
+    let mut findings = daemon::examine(directory, arguments.watch, arm);
     findings.extend(scene.as_ref().map(scene_file));
     let scene = scene.and_then(Result::ok);
     let memory = arguments.memory.as_deref();

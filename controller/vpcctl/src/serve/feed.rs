@@ -4,6 +4,7 @@ use messages::CycleRecord;
 use serde_json::{Value, json};
 
 use crate::image_plane::ImagePlane;
+use crate::joints::{Joint, joints};
 use crate::latency::{CYCLE, WAKE, durations};
 use crate::output::Tone;
 use crate::status::Status;
@@ -67,6 +68,7 @@ impl Feed {
             "tone": tone.name(),
             "status": status.json(),
             "robot": view.robot_words(now_ns),
+            "joints": joints(view, now_ns).iter().map(bar).collect::<Vec<_>>(),
             "now_s": now_ns as f64 / 1e9,
             "cycles": self.news(view),
             "changes": changes.collect::<Vec<_>>(),
@@ -123,6 +125,16 @@ fn row(record: &CycleRecord) -> Value {
     row.collect()
 }
 
+/// Name, position with its unit, whether it binds, and places in the range from 0 to 1: of the joint,
+/// and between which the law keeps it; null where it turns without end.
+fn bar(joint: &Joint) -> Value {
+    let [least, most] = joint.range;
+    let places = [joint.q, least + joint.margin, most - joint.margin];
+    let places = places.map(|q| joint.place(q));
+    let position = format!("{:.2} {}", joint.q, joint.unit);
+    json!([joint.name, position, joint.binds, places])
+}
+
 /// The image plane. Parts are the corners [u, v] of their outlines, painted pixels are rectangles
 /// [u, v, width, height], all in px.
 fn scene(plane: &ImagePlane, view: &View) -> Value {
@@ -149,6 +161,7 @@ mod tests {
 
     use super::*;
     use crate::image_plane::tests::{painted, paper};
+    use crate::joints::tests::with_arm;
     use crate::view::tests::record;
 
     #[test]
@@ -169,6 +182,28 @@ mod tests {
         }
         for (n, times) in times.into_iter().enumerate() {
             assert_eq!(times, i32::from(inside(n % 1024, n / 1024)), "pixel {n}");
+        }
+    }
+
+    #[test]
+    fn joints_are_told_with_their_places() {
+        let mut status = Status::default();
+        let message = record(1, TwistState::Moving, None);
+        let order = Order::Next;
+        status.view.cycle(&Received { message, order });
+        status.view = with_arm(status.view, 0);
+        let event = Feed::new(ImagePlane::default()).event(&status);
+        let bar = &event["joints"][3];
+        let [name, position, binds] = [0, 1, 2].map(|k| &bar[k]);
+        assert_eq!(
+            (name, position),
+            (&json!("panda_joint4"), &json!("-2.87 rad"))
+        );
+        assert_eq!(binds, &json!(true));
+        let places: Vec<f64> = serde_json::from_value(bar[3].clone()).unwrap();
+        let expected = [0.2018 / 3.002, 0.2 / 3.002, 1.0 - 0.2 / 3.002];
+        for (place, expected) in places.iter().zip(expected) {
+            assert!((place - expected).abs() < 1e-9, "{places:?}");
         }
     }
 

@@ -16,6 +16,8 @@ use serde_json::{Value, json};
 pub use look::{Asking, look, watch_until};
 
 use crate::failure::Failure;
+use crate::image_plane::ImagePlane;
+use crate::joints::joints;
 use crate::latency::{Percentiles, STAGES, durations};
 use crate::output::{Tone, paint};
 use crate::presence::Presence;
@@ -47,13 +49,17 @@ pub struct Status {
     /// The present, CLOCK_MONOTONIC, ns.
     pub now_ns: u64,
     looked_ns: u64,
+    /// The daemon's scene.
+    plane: ImagePlane,
 }
 
 impl Status {
     /// Of a domain that is about to be watched.
     pub fn new(watcher: &Watcher) -> Self {
+        let directory = watcher.domain.directory();
         Self {
-            directory: watcher.domain.directory().to_owned(),
+            directory: directory.to_owned(),
+            plane: ImagePlane::open(directory, None).unwrap_or_default(),
             full: watcher.full.clone(),
             ..Self::default()
         }
@@ -68,6 +74,8 @@ impl Status {
         self.now_ns = ipc::now_ns();
         if self.now_ns.saturating_sub(self.looked_ns) >= LOOK_NS {
             self.process = Presence::of(&self.directory).process();
+            self.plane.refresh();
+            self.view.arm = self.plane.arm().cloned();
             self.looked_ns = self.now_ns;
         }
         Ok(())
@@ -143,7 +151,8 @@ impl Status {
         let (last, over) = view.last_cause().unzip();
         let robot = view.robot_at(now_ns).map(|robot| {
             let age_ns = now_ns.saturating_sub(robot.stamp.published_ns);
-            json!({ "mode": word(robot.mode()), "faults": faults(robot), "age_ns": age_ns })
+            let joints = joints(view, now_ns);
+            json!({ "mode": word(robot.mode()), "faults": faults(robot), "age_ns": age_ns, "joints": joints })
         });
         let image = view.image().map(|image| {
             json!({
@@ -160,6 +169,9 @@ impl Status {
             "process": self.process,
             "state": self.state().map(|state| state.to_string()),
             "cause": self.hold().map(|hold| hold.to_string()),
+            "bound": view.bound().map(|bound| {
+                json!({ "kind": word(Some(bound.kind)), "index": bound.index, "words": bound.to_string() })
+            }),
             "last_cause": last.map(|hold| hold.to_string()),
             "last_cause_over_ns": over.flatten().map(|at| now_ns.saturating_sub(at)),
             "answered": self.answered,
@@ -197,6 +209,7 @@ impl Status {
             format!("{}, {faults}, {age} ago", word(robot.mode()))
         });
         text += &format!("robot     {}\n", robot.as_deref().unwrap_or("says nothing"));
+        text += &self.arm_line(colours);
         if let Some(image) = self.view.image() {
             let (width, height, encoding) = (image.width, image.height, word(image.encoding()));
             let rate = self.view.image_rate_hz();
@@ -227,6 +240,24 @@ impl Status {
             }
             (None, None) => format!("state     {state}\n"),
         }
+    }
+
+    /// What of the arm binds the command, else the joint with the least left of its range; empty
+    /// where nothing is known of an arm.
+    fn arm_line(&self, colours: bool) -> String {
+        if let Some(bound) = self.view.bound() {
+            let words = paint(&bound.to_string(), Tone::Warning, colours);
+            return format!("arm       {words}\n");
+        }
+        let joints = joints(&self.view, self.now_ns);
+        let nearest = joints.iter().min_by(|a, b| a.left().total_cmp(&b.left()));
+        nearest.map_or(String::new(), |joint| {
+            let (name, left, unit) = (&joint.name, joint.left(), joint.unit);
+            format!(
+                "arm       {} joints, {name} has {left:.2} {unit} left\n",
+                joints.len()
+            )
+        })
     }
 
     fn cycle_text(&self, last: &CycleRecord, strategy: &str, colours: bool) -> String {
@@ -403,6 +434,37 @@ mod tests {
         let text = status(TwistState::Holding, Hold::Hidden, 0).text(false);
         assert!(text.contains("state     holding: hidden point\n"), "{text}");
         assert!(text.lines().all(|line| line.len() <= 80), "{text}");
+    }
+
+    #[test]
+    fn the_arm_has_a_line_and_its_joints_are_in_json() {
+        let mut status = status(TwistState::Holding, Hold::NoWay, 0);
+        assert!(!status.text(false).contains("\narm "));
+        status.view = crate::joints::tests::with_arm(status.view, status.now_ns);
+        let text = status.text(false);
+        let line = "arm       panda_joint4 is at the end of its range\n";
+        assert!(text.contains(line), "{text}");
+        assert!(text.lines().all(|line| line.len() <= 80), "{text}");
+        let json = status.json();
+        assert_eq!(json["bound"]["index"], 3);
+        assert_eq!(json["bound"]["kind"], "joint range");
+        let joint = &json["robot"]["joints"][3];
+        assert_eq!(
+            (joint["q"].as_f64(), &joint["binds"]),
+            (Some(-2.87), &true.into())
+        );
+        let message = record(6, TwistState::Moving, None);
+        let order = Order::Next;
+        let message = CycleRecord {
+            count: 4,
+            ..message
+        };
+        status.view.cycle(&Received { message, order });
+        let text = status.text(false);
+        assert!(
+            text.contains("arm       7 joints, panda_joint4 has 0.20 rad left\n"),
+            "{text}"
+        );
     }
 
     #[test]

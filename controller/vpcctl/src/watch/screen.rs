@@ -10,6 +10,7 @@ use ratatui::widgets::{Bar, BarChart, Block, Borders, Paragraph};
 use super::palette::Palette;
 use super::plane;
 use crate::image_plane::ImagePlane;
+use crate::joints::{Joint, joints};
 use crate::latency::{BOUNDS, CYCLE, Percentiles, WAKE, durations};
 use crate::output::Tone;
 use crate::status::Status;
@@ -21,6 +22,8 @@ const PANELS: u16 = 32;
 const TWISTS: u16 = 7;
 /// Rows of the panel of numbers, with its title.
 const NUMBERS: u16 = 6;
+/// Rows of the histogram beside a panel of joints; with fewer it makes room.
+const HISTOGRAM: u16 = 4;
 /// What the percentiles look back on, ns.
 const WINDOW_NS: u64 = 10_000_000_000;
 /// What the keys do, within 80 columns.
@@ -69,14 +72,25 @@ pub fn draw(frame: &mut Frame, screen: &Screen) {
         view,
         screen.palette,
     );
-    let [twists, times, numbers] = Layout::vertical([
+    let joints = joints(view, screen.status.now_ns);
+    let free = panels.height.saturating_sub(TWISTS + NUMBERS);
+    // A row for each joint, or for each two.
+    let all = joints.len() as u16;
+    let rows = match all {
+        0 => 0,
+        _ if free > all + HISTOGRAM => all + 1,
+        _ => free.min(all.div_ceil(2) + 1),
+    };
+    let [twists, arm, times, numbers] = Layout::vertical([
         Constraint::Length(TWISTS),
+        Constraint::Length(rows),
         Constraint::Fill(1),
         Constraint::Length(NUMBERS),
     ])
     .areas(panels);
     frame.render_widget(headline(screen), head);
     twist_panel(frame, twists, screen);
+    joint_panel(frame, arm, screen, &joints);
     histogram_panel(frame, times, screen);
     number_panel(frame, numbers, screen);
     past_panel(frame, past, screen);
@@ -165,6 +179,50 @@ fn twist_panel(frame: &mut Frame, area: Rect, screen: &Screen) {
         ])
     });
     let title = format!(" twist, limits {linear:.2} m/s {angular:.2} rad/s ");
+    let panel = Paragraph::new(lines.collect::<Vec<_>>()).block(titled(&title));
+    frame.render_widget(panel, area);
+}
+
+/// Where each joint is in its range.
+fn joint_panel(frame: &mut Frame, area: Rect, screen: &Screen, joints: &[Joint]) {
+    let rows = usize::from(area.height.saturating_sub(1)).max(1);
+    let columns = joints.len().div_ceil(rows);
+    if columns == 0 {
+        return;
+    }
+    let width = usize::from(area.width) / columns;
+    let cell = |k: usize| {
+        let joint = joints.get(k)?;
+        let color = match joint.binds {
+            true => Color::Yellow,
+            false => Color::Cyan,
+        };
+        let style = screen.palette.style(color);
+        let mark = if joint.binds { '!' } else { ' ' };
+        Some(match columns {
+            1 => {
+                let track = joint.track(width.saturating_sub(14));
+                vec![
+                    Span::raw(format!("q{} ", k + 1)),
+                    Span::styled(format!("{track}{mark}"), style),
+                    Span::raw(format!("{:+.2} {}", joint.q, joint.unit)),
+                ]
+            }
+            _ => vec![
+                Span::raw(format!("q{} ", k + 1)),
+                Span::styled(
+                    format!("{}{mark} ", joint.track(width.saturating_sub(5))),
+                    style,
+                ),
+            ],
+        })
+    };
+    let lines = (0..rows).map(|row| {
+        let cells = (0..columns).filter_map(|column| cell(column * rows + row));
+        Line::from(cells.flatten().collect::<Vec<_>>())
+    });
+    let bound = screen.status.view.bound();
+    let title = bound.map_or(" joints ".to_owned(), |bound| format!(" {bound} "));
     let panel = Paragraph::new(lines.collect::<Vec<_>>()).block(titled(&title));
     frame.render_widget(panel, area);
 }
@@ -278,6 +336,7 @@ mod tests {
 
     use super::*;
     use crate::image_plane::tests::{painted, paper};
+    use crate::joints::tests::with_arm;
     use crate::view::View;
     use crate::view::tests::record;
 
@@ -398,10 +457,24 @@ mod tests {
     }
 
     #[test]
+    fn an_arm_whose_joint_binds_on_a_large_terminal() {
+        let view = with_arm(run(), NOW_NS);
+        insta::assert_snapshot!(picture(160, 50, &view, &paper(), NOW_NS));
+    }
+
+    #[test]
+    fn an_arm_whose_joint_binds_on_a_small_terminal() {
+        let view = with_arm(run(), NOW_NS);
+        insta::assert_snapshot!(picture(80, 24, &view, &paper(), NOW_NS));
+    }
+
+    #[test]
     fn any_size_is_drawn_without_a_panic() {
-        let (view, plane) = (run(), paper());
-        for (columns, rows) in [(1, 1), (10, 3), (33, 9), (300, 5), (5, 80)] {
-            picture(columns, rows, &view, &plane, NOW_NS);
+        let plane = paper();
+        for view in [run(), with_arm(run(), NOW_NS)] {
+            for (columns, rows) in [(1, 1), (10, 3), (33, 9), (300, 5), (5, 80), (40, 20)] {
+                picture(columns, rows, &view, &plane, NOW_NS);
+            }
         }
     }
 

@@ -182,6 +182,8 @@ enum vpc_hold {
     VPC_HOLD_ELSEWHERE = 29,
     // It has arrived, and stands since then, as `safety.after_arrival` wants it.
     VPC_HOLD_ARRIVED = 30,
+    // The scene names an arm, and no positions of as many joints came for 0.5 s.
+    VPC_HOLD_NO_JOINTS = 31,
 };
 
 // What foresight follows.
@@ -220,6 +222,20 @@ enum vpc_input {
     VPC_INPUT_REFUSED = 2,
     // The shared memory failed.
     VPC_INPUT_FAILED = 3,
+};
+
+// What of the arm binds the command.
+enum vpc_arm_bound {
+    // Nothing, or the arm is not known.
+    VPC_ARM_BOUND_NONE = 0,
+    // A joint is at the end of its range.
+    VPC_ARM_BOUND_RANGE = 1,
+    // A joint has its greatest speed.
+    VPC_ARM_BOUND_SPEED = 2,
+    // The posture is nearly singular.
+    VPC_ARM_BOUND_SINGULARITY = 3,
+    // The camera, or a point of the arm, is at a wall.
+    VPC_ARM_BOUND_WALL = 4,
 };
 
 // What an operator asks for.
@@ -271,6 +287,8 @@ enum vpc_outcome {
     // Refused: an operator has stopped it since it was last armed, and the request does not name
     // the newest stop.
     VPC_OUTCOME_STOPPED = 13,
+    // Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
+    VPC_OUTCOME_NO_JOINTS = 14,
 };
 
 // How a pixel is stored.
@@ -518,6 +536,10 @@ typedef struct {
     uint32_t visible;
     // Cycles in a row that the law answered by prediction, because no image came.
     uint32_t predicted;
+    // What of the arm binds the law's command. Code: vpc_arm_bound.
+    uint32_t arm_bound;
+    // Index of that joint, base to flange, or of that wall, from 0.
+    uint32_t arm_bound_index;
 } vpc_cycle_record;
 
 // All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
@@ -899,7 +921,7 @@ static_assert(offsetof(vpc_robot_state, reserved) == 140, "vpc_robot_state.reser
 static_assert(offsetof(vpc_robot_state, q) == 144, "vpc_robot_state.q");
 static_assert(offsetof(vpc_robot_state, dq) == 200, "vpc_robot_state.dq");
 static_assert(offsetof(vpc_robot_state, commands_in_time) == 256, "vpc_robot_state.commands_in_time");
-static_assert(sizeof(vpc_cycle_record) == 1896, "vpc_cycle_record");
+static_assert(sizeof(vpc_cycle_record) == 1904, "vpc_cycle_record");
 static_assert(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
 static_assert(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");
 static_assert(offsetof(vpc_cycle_record, clock) == 32, "vpc_cycle_record.clock");
@@ -957,6 +979,8 @@ static_assert(offsetof(vpc_cycle_record, flags) == 1880, "vpc_cycle_record.flags
 static_assert(offsetof(vpc_cycle_record, stops) == 1884, "vpc_cycle_record.stops");
 static_assert(offsetof(vpc_cycle_record, visible) == 1888, "vpc_cycle_record.visible");
 static_assert(offsetof(vpc_cycle_record, predicted) == 1892, "vpc_cycle_record.predicted");
+static_assert(offsetof(vpc_cycle_record, arm_bound) == 1896, "vpc_cycle_record.arm_bound");
+static_assert(offsetof(vpc_cycle_record, arm_bound_index) == 1900, "vpc_cycle_record.arm_bound_index");
 static_assert(sizeof(vpc_snapshot) == 32808, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");

@@ -169,6 +169,8 @@ class Hold(Code):
     ELSEWHERE = 29, "features elsewhere"
     # It has arrived, and stands since then, as `safety.after_arrival` wants it.
     ARRIVED = 30, "arrived"
+    # The scene names an arm, and no positions of as many joints came for 0.5 s.
+    NO_JOINTS = 31, "joints unknown"
 
 
 class ForesightCode(Code):
@@ -210,6 +212,21 @@ class InputCode(Code):
     REFUSED = 2, "refused"
     # The shared memory failed.
     FAILED = 3, "failed"
+
+
+class ArmBound(Code):
+    """What of the arm binds the command."""
+
+    # Nothing, or the arm is not known.
+    NONE = 0, "none"
+    # A joint is at the end of its range.
+    RANGE = 1, "joint range"
+    # A joint has its greatest speed.
+    SPEED = 2, "joint speed"
+    # The posture is nearly singular.
+    SINGULARITY = 3, "singularity"
+    # The camera, or a point of the arm, is at a wall.
+    WALL = 4, "wall"
 
 
 class Action(Code):
@@ -263,6 +280,8 @@ class Outcome(Code):
     # Refused: an operator has stopped it since it was last armed, and the request does not name the
     # newest stop.
     STOPPED = 13, "refused: stopped since it was last armed"
+    # Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
+    NO_JOINTS = 14, "refused: the arm's joints are unknown"
 
 
 class Encoding(Code):
@@ -581,6 +600,10 @@ class CycleRecord(Message):
         ("visible", ctypes.c_uint32),
         # Cycles in a row that the law answered by prediction, because no image came.
         ("predicted", ctypes.c_uint32),
+        # What of the arm binds the law's command. Code: `ArmBound`.
+        ("arm_bound", ctypes.c_uint32),
+        # Index of that joint, base to flange, or of that wall, from 0.
+        ("arm_bound_index", ctypes.c_uint32),
     ]
 
     if TYPE_CHECKING:
@@ -641,10 +664,12 @@ class CycleRecord(Message):
         stops: int
         visible: int
         predicted: int
+        arm_bound: int
+        arm_bound_index: int
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/0531335b"
+        return "vpc/CycleRecord/5efd467a"
 
 
 class Snapshot(Message):
@@ -831,6 +856,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "phase": PhaseCode,
         "features_input": InputCode,
         "robot_input": InputCode,
+        "arm_bound": ArmBound,
     },
     Snapshot: {
         "length": (0, 32768),
