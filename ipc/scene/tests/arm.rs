@@ -100,6 +100,17 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
         ),
         (arm("acceleration", "# "), vec!["acceleration"]),
         (
+            arm("[camera]", "goal = [0.0, 0.0]\n[camera]"),
+            vec!["goal = a list of 2", "a list of 7"],
+        ),
+        (
+            arm(
+                "[camera]",
+                "goal = [0, -0.8, 0, -3.0, 0, 1.6, 0.8]\n[camera]",
+            ),
+            vec!["goal[3] = -3", "-2.872 to -0.270"],
+        ),
+        (
             arm(
                 "[camera]",
                 "[[wall]]\nnormal = [0.0, 0.0, 0.0]\noffset = 0.0\n[camera]",

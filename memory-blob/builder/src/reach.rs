@@ -114,10 +114,12 @@ mod tests {
         // Far away; up to where the arm is stretched; joint 7 to its end.
         assert!(!includes([0.0, -1.0, 0.0], 0.0));
         assert!(!includes([0.0, 0.0, -0.7], 0.0));
-        assert!(!includes([0.0; 3], 2.6) || !includes([0.0; 3], -2.6));
-        // The camera is some 0.59 m up, and looks down.
-        assert!(includes([0.0, 0.0, 0.3], 0.0));
-        assert!(!includes([0.0, 0.0, 0.45], 0.0));
+        assert!(includes([0.0; 3], 2.6) && !includes([0.0; 3], -2.6));
+        // The camera is some 0.55 m up, and looks down.
+        let high = self::scene(0.4);
+        let below = moved(&high, [0.0, 0.0, 0.2], 0.0);
+        assert!(reach.includes(&below));
+        assert!(!Reach::of(&high).unwrap().includes(&below));
     }
 
     #[test]
