@@ -317,7 +317,18 @@ mod tests {
         assert!((10.0..120.0).contains(&stride), "{stride}");
         assert_eq!(thin(&narrow, stride), [("bar", 10.0)]);
         assert_eq!(thin(&broad, stride), []);
-        let said = describe(&task, &narrow, 20.0, 1, 1);
-        assert!(said.contains("bar is 10 px thick"), "{said}");
+        let count = Drawn {
+            found: 1,
+            drawn: 4,
+            beyond: 2,
+        };
+        let said = describe(&task, &narrow, 20.0, &count);
+        for words in [
+            "bar is 10 px thick",
+            "1 of 4",
+            "2 are beyond the arm's reach",
+        ] {
+            assert!(said.contains(words), "{said}");
+        }
     }
 }
