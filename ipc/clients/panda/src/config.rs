@@ -1,9 +1,10 @@
 //! Configuration of the bridge: a file, then flags, then checks.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use arm::{Caps, Model, Mount, Pose, Reserve};
+use arm::{Caps, Chain, Joints, Model, Mount, Pose, Reserve};
 use clap::{ArgMatches, Args, Parser, ValueEnum};
+use nalgebra::{Matrix3, Rotation3, RowVector3, Vector3};
 use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -11,6 +12,9 @@ use smart_default::SmartDefault;
 use toml_schema::{Document, FileError};
 
 use hand_eye::{Frame, HandEye};
+
+/// How far apart two accounts of the camera may have it, m and rad.
+const APART: f64 = 1e-3;
 
 /// Drives a Franka Panda or FR3 by what vpcd commands.
 ///
@@ -191,10 +195,15 @@ impl Config {
         };
         let scene = Scene::read(&keys.scene.unwrap_or_default())?;
         let file = keys.hand_eye.unwrap_or_default();
+        let hand_eye = hand_eye::read(&file, keys.hand_eye_frame)?;
+        if let Some(arm) = &scene.arm {
+            let reserve = (keys.joint_margin, keys.joint_speed);
+            agrees(document, arm, &hand_eye, reserve, &file)?;
+        }
         Ok(Self {
             model,
             robot: address.to_owned(),
-            hand_eye: hand_eye::read(&file, keys.hand_eye_frame)?,
+            hand_eye,
             interface: keys.interface,
             domain: keys.domain.unwrap_or_else(ipc::default_directory),
             priority: keys.priority,
@@ -218,6 +227,41 @@ impl Config {
     pub fn mount(&self, flange_from_ee: &Pose) -> Mount {
         self.hand_eye.mount(flange_from_ee)
     }
+}
+
+/// Refuses what contradicts the scene's arm: a camera at another place, and limits of the joints
+/// under which the bridge would stop what the law commands. A camera on the end effector is where
+/// the robot has that, which is known later.
+fn agrees(
+    document: &Document,
+    arm: &scene::Arm,
+    hand_eye: &HandEye,
+    (margin, speed): (f64, f64),
+    file: &Path,
+) -> Result<(), FileError> {
+    if hand_eye.frame == Frame::Flange {
+        let flange = Chain::FRANKA.pose(&Joints::zeros());
+        let camera = flange * hand_eye.mount(&Pose::identity()).flange_from_camera;
+        let rows = arm.rotation.map(RowVector3::from);
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
+        let apart_m = (camera.translation.vector - Vector3::from(arm.translation)).norm();
+        let apart_rad = camera.rotation.angle_to(&rotation);
+        if apart_m > APART || apart_rad > APART {
+            let (path, mm) = (file.display(), 1e3 * apart_m);
+            let found = format!("{path}, {mm:.1} mm and {apart_rad:.3} rad from there");
+            let allowed = "the camera where the scene's arm file has it, to 1 mm and 1 mrad";
+            return Err(document.refuse("hand_eye", found, allowed));
+        }
+    }
+    if margin > arm.margin {
+        let allowed = format!("at most {}, the margin of the scene's arm", arm.margin);
+        return Err(document.refuse("joint_margin", margin, allowed));
+    }
+    if speed < arm.speed {
+        let allowed = format!("at least {}, the speed of the scene's arm", arm.speed);
+        return Err(document.refuse("joint_speed", speed, allowed));
+    }
+    Ok(())
 }
 
 /// Returns the JSON Schema of a configuration file.

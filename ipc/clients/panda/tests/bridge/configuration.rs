@@ -67,6 +67,43 @@ fn a_bad_configuration_is_refused_by_name() {
 }
 
 #[test]
+fn what_contradicts_the_arm_of_the_scene_is_refused() {
+    let place = Place::new();
+    let shipped = |name: &str| std::fs::read(root().join("ipc/scene/scenes").join(name)).unwrap();
+    for name in ["panda.toml", "panda.urdf"] {
+        place.file(name, shipped(name));
+    }
+    let file = |name: &str, text: &str| place.file(name, text).display().to_string();
+    let text = String::from_utf8(shipped("paper-robot.toml")).unwrap();
+    let scene = file("scene.toml", &format!("arm = \"panda.toml\"\n{text}"));
+    let aside = "translation = [0.02, -0.05, 0.04]\nrotation_deg = [0.0, 0.0, 45.0]\n";
+    let turned = "translation = [0.04949747468305833, -0.04949747468305833, 0.04]\n\
+        rotation_deg = [0.0, 0.0, 46.0]\n";
+    for (flag, text, code, words) in [
+        ("--config", "", 69, "robot 127.0.0.254: "),
+        ("--hand-eye", aside, 78, "29.5 mm and 0.000 rad from there"),
+        ("--hand-eye", turned, 78, "0.0 mm and 0.017 rad from there"),
+        (
+            "--config",
+            "joint_margin = 0.3",
+            78,
+            "at most 0.2, the margin",
+        ),
+        (
+            "--config",
+            "joint_speed = 0.2",
+            78,
+            "at least 0.25, the speed",
+        ),
+    ] {
+        let value = file("changed.toml", text);
+        let said = said(&place, &[("--scene", &scene), (flag, &value)]);
+        assert_eq!(said.code, Some(code), "{text}: {said:?}");
+        assert!(said.stderr.contains(words), "{text}: {said:?}");
+    }
+}
+
+#[test]
 fn a_robot_that_does_not_answer_is_named() {
     let place = Place::new();
     let said = said(&place, &[("--robot", "fr3:127.0.0.254")]);
