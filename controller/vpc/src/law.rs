@@ -411,7 +411,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             ..Step::default()
         };
         let is_foresight = self.settings.strategy == Strategy::Foresight;
-        let stands = is_foresight && self.loses_patience(step.error_px, is_linked);
+        let stands = is_foresight && self.loses_patience(&initial, step.error_px, is_linked);
         match self.settings.strategy {
             Strategy::Ibvs => self.servo(&initial, &mut step),
             Strategy::Foresight if stands => {
@@ -458,14 +458,19 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 
     /// Whether the camera is to stand, because no way is known and nothing has improved. What
-    /// another twist than the law's did does not count.
-    fn loses_patience(&mut self, error_px: f64, is_linked: bool) -> bool {
+    /// another twist than the law's did does not count. Near the goal there is hope, unless the
+    /// arm goes no farther.
+    fn loses_patience(&mut self, initial: &InitialState, error_px: f64, is_linked: bool) -> bool {
+        let is_near = error_px < FAR * self.converged_px;
+        let is_held_up = is_near
+            && error_px >= self.converged_px
+            && self.cause(initial, &self.state.standing).is_some();
         let State {
             foresight,
             patience,
             ..
         } = &mut self.state;
-        let has_hope = foresight.knows_a_way() || error_px < FAR * self.converged_px;
+        let has_hope = foresight.knows_a_way() || (is_near && !is_held_up);
         if is_linked || has_hope {
             patience.pass(error_px, has_hope, self.task.period);
         }

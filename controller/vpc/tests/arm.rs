@@ -290,6 +290,40 @@ fn a_step_tells_what_of_the_arm_binds_its_command() {
 }
 
 #[test]
+fn near_a_goal_behind_a_wall_it_stands_and_tells_the_wall() {
+    let (mut scene, arm) = (scene(true), panda());
+    let camera = arm.chain.pose(&Joints::from(READY));
+    let goal = Pose::from_parts(
+        Translation3::from(scene.goal.translation),
+        Rotation3::new(Vector3::from(scene.goal.rotation)),
+    );
+    // The goal is 10 cm below, and the wall 6 cm.
+    let object = camera * Translation3::new(0.0, 0.0, 0.1) * goal;
+    let (normal, offset) = ([0.0, 0.0, 1.0], camera.translation.z - 0.06);
+    let wall = scene::Wall { normal, offset };
+    scene.arm.as_mut().unwrap().walls.push(wall).unwrap();
+    let mut law = law(&scene, Strategy::Foresight);
+    let mut q = Joints::from(READY);
+    let (mut last, mut lowest) = (None, f64::INFINITY);
+    for k in 0..450 {
+        let points = seen(&scene, &(arm.chain.pose(&q).inverse() * object)).unwrap();
+        let now_ns = k * PERIOD_NS;
+        law.see_joints(q.as_slice(), now_ns);
+        let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
+        let step = law.step(&measured, None).unwrap();
+        law.sent(&step.twist, now_ns);
+        law.think(None);
+        q = arm.moved(&q, &step.twist, 1.0 / 30.0);
+        lowest = lowest.min(arm.chain.pose(&q).translation.z);
+        last = Some((step.stands, step.cause, step.error_px));
+    }
+    let (stands, cause, error_px) = last.unwrap();
+    assert!(lowest > offset - 1e-4, "{lowest}");
+    assert!((5.0..50.0).contains(&error_px), "{error_px}");
+    assert_eq!((stands, cause), (true, Some(Cause::Wall(0))));
+}
+
+#[test]
 fn without_an_arm_joints_change_nothing() {
     let without = scene(false);
     let mut laws = [0, 1].map(|_| law(&without, Strategy::Foresight));
