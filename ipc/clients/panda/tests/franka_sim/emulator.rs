@@ -1,4 +1,4 @@
-//! franka-sim as a process.
+//! Other teams' emulators as processes.
 
 use std::net::Ipv4Addr;
 use std::process::Stdio;
@@ -13,6 +13,26 @@ const FRANKA_SIM: Environment = Environment {
     packages: &["franka-sim==1.1.7", "mujoco==3.2.7", "numpy==1.26.4"],
 };
 
+const FRANKY_SIM: Environment = Environment {
+    name: "python-franky-sim",
+    requirements: &[],
+    packages: &[
+        "franky-sim==1.0.4",
+        "mujoco==4.0.0",
+        "numpy==2.4.6",
+        "pin==4.1.0",
+    ],
+};
+
+/// Whose emulator it is.
+#[derive(Clone, Copy)]
+pub enum Team {
+    /// franka-sim, which holds each command against the vendor's limits.
+    Franka,
+    /// franky-sim, whose joints have the robot's torques.
+    Franky,
+}
+
 /// A robot at an address of its own; stopped when it is dropped.
 pub struct Emulator {
     running: Running,
@@ -20,17 +40,22 @@ pub struct Emulator {
 }
 
 impl Emulator {
-    /// A robot that waits for a client. `None`, after [`testkit::not_run`], where franka-sim cannot
-    /// be had.
+    /// franka-sim, which waits for a client. `None`, after [`testkit::not_run`], where it cannot be
+    /// had.
     pub fn start(test: &str) -> Option<Self> {
-        Self::start_at(test, &panda::READY)
+        Self::start_at(Team::Franka, test, &panda::READY)
     }
 
-    /// The same with these joints, rad.
-    pub fn start_at(test: &str, q: &[f64; 7]) -> Option<Self> {
-        let python = FRANKA_SIM.python(test)?;
+    /// The robot of a team with these joints, rad.
+    pub fn start_at(team: Team, test: &str, q: &[f64; 7]) -> Option<Self> {
+        let (environment, program) = match team {
+            Team::Franka => (FRANKA_SIM, "emulator.py"),
+            Team::Franky => (FRANKY_SIM, "franky.py"),
+        };
+        let python = environment.python(test)?;
         let address = own_address();
-        let program = testkit::root().join("ipc/clients/panda/tests/franka_sim/emulator.py");
+        let tests = testkit::root().join("ipc/clients/panda/tests/franka_sim");
+        let program = tests.join(program);
         let mut command = script(&python, &program);
         command
             .arg(address.to_string())

@@ -1,5 +1,6 @@
-//! An emulator of the FR3's interface by another team, franka-sim, judges `vpc-panda`: it holds
-//! each command against the vendor's limits, counts lost ones, and moves an arm in MuJoCo.
+//! Emulators of the FR3's interface by other teams judge `vpc-panda`. franka-sim holds each command
+//! against the vendor's limits, counts lost ones, and moves an arm in MuJoCo; so does franky-sim,
+//! without the limits.
 
 mod emulator;
 mod servo;

@@ -20,7 +20,7 @@ use scene::Scene;
 use testkit::{Place, Running, eventually, program, repeats, root, tell};
 
 use crate::STALLS;
-use crate::emulator::Emulator;
+use crate::emulator::{Emulator, Team};
 
 /// Noise of each coordinate, to either side, px, and share of the frames that are lost.
 const NOISE_PX: f64 = 0.5;
@@ -91,7 +91,7 @@ const FAST_LAW: &str = "scene = \"scene.toml\"\n[law]\nstrategy = \"foresight\"\
 /// The caps are no tighter than the scene's limits.
 const FAST_BRIDGE: &str = "linear = 0.2\nangular = 0.6\n";
 
-fn run(test: &str, pace: Pace, start: usize) -> Option<End> {
+fn run(test: &str, team: Team, pace: Pace, start: usize) -> Option<End> {
     let place = Place::new();
     let [law, settings] = pace.files(&place);
     let path = place.file("scene.toml", pace.scene());
@@ -105,7 +105,7 @@ fn run(test: &str, pace: Pace, start: usize) -> Option<End> {
     let chain = Chain::default();
     let camera = base_from_object() * from_scene(&starts[start]).inverse();
     let q = panda::place(&chain, Model::Fr3.limits(), &mount.flange(&camera)).unwrap();
-    let emulator = Emulator::start_at(test, &q.into())?;
+    let emulator = Emulator::start_at(team, test, &q.into())?;
     let domain = Domain::join(&place.domain()).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
     let mut ports = CameraPorts::open(&domain).unwrap();
@@ -197,17 +197,23 @@ fn daemon(config: &Path, domain: &Path) -> Running {
 #[test]
 #[ignore = "half a minute: CI runs it in a line of its own"]
 fn a_camera_on_another_teams_fr3_arrives() {
-    arrives("a camera on franka-sim", Pace::Paper);
+    arrives("a camera on franka-sim", Team::Franka, Pace::Paper);
 }
 
 #[test]
 #[ignore = "half a minute: CI runs it in a line of its own"]
 fn a_camera_on_another_teams_fr3_arrives_at_ten_times_the_speed() {
-    arrives("a camera on franka-sim, 10 cm/s", Pace::Fast);
+    arrives("a camera on franka-sim, 10 cm/s", Team::Franka, Pace::Fast);
+}
+
+#[test]
+#[ignore = "half a minute: CI runs it in a line of its own"]
+fn a_camera_on_a_third_teams_fr3_arrives_at_ten_times_the_speed() {
+    arrives("a camera on franky-sim, 10 cm/s", Team::Franky, Pace::Fast);
 }
 
 /// From each start, in time, and without a fault of the robot.
-fn arrives(test: &str, pace: Pace) {
+fn arrives(test: &str, team: Team, pace: Pace) {
     let _turn = testkit::turn();
     let count = repeats(&format!("{test}: starts"), JOBS, 20);
     let next = AtomicUsize::new(0);
@@ -218,10 +224,10 @@ fn arrives(test: &str, pace: Pace) {
             if start >= count {
                 return true;
             }
-            let mut end = run(test, pace, start);
+            let mut end = run(test, team, pace, start);
             if let Some(End::Stalled(log)) = &end {
                 tell(format_args!("start {start}: once more, after: {log}"));
-                end = run(test, pace, start);
+                end = run(test, team, pace, start);
             }
             match end {
                 None => return false,
