@@ -89,7 +89,7 @@ pub struct Keys {
     #[default = 0.25]
     #[schemars(range(min = 0.001, max = 1), extend("x-unit" = "rad/s"))]
     pub angular: f64,
-    /// Distance of joints from the ends of their ranges; nearer, they use up 3 % a second at most.
+    /// Distance of joints from the ends of their ranges; nearer, they creep.
     #[arg(skip = 0.1)]
     #[default = 0.1]
     #[schemars(range(min = 0.01, max = 1), extend("x-unit" = "rad"))]
