@@ -189,6 +189,8 @@ fn a_terminal_gets_json_only_where_it_is_asked_for() {
 fn a_second_camera_is_refused_and_the_first_goes_on() {
     let place = Place::new();
     let mut first = start(&place, &[]);
+    // Whoever has the port is the first, not who began first.
+    first.line("features go out");
     let (code, said) = run(&place, &[]).log();
     assert_eq!(code, 69, "{said}");
     let expected = "vpc/features: another publisher is at work";
