@@ -73,7 +73,7 @@ impl Problem<'_> {
         let mut relative = self.standing;
         let pairs = relative.iter_mut().zip(with);
         pairs.for_each(|(v, with)| *v -= with);
-        let stop_s = self.task.stop_s(&relative) / self.ramps();
+        let stop_s = self.task.stop_s(&relative);
         let left = (1.0 - self.interval / stop_s).max(0.0);
         let mut braking = with;
         if stop_s > self.interval {
