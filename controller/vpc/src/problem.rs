@@ -46,7 +46,7 @@ impl Problem<'_> {
     /// Least and greatest value of the k-th variable of a plan: inside the velocity limits, and no
     /// further from the command in force than the acceleration limits allow until then. Where the
     /// arm has room for a share of the accelerations only, the velocities take the same share, so
-    /// that no stop takes longer.
+    /// that it stops in no more time.
     pub fn bounds(&self, k: usize) -> [f64; 2] {
         let task = self.task;
         let [limit, most, standing] = [&task.limits, &task.acceleration, &self.standing]

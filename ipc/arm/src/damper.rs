@@ -12,8 +12,8 @@
 //! one. A motion that keeps to all bounds leaves no range that it is in.
 //!
 //! Nearness to a singular posture is what the end effector's accelerations ask of the joints'
-//! there, as bridges measure it ([`singularity`](crate::singularity)): the robot refuses that
-//! first, and unlike a singular value it needs no exchange of metres for radians.
+//! there, as bridges measure it ([`singularity`]): the robot refuses that first, and unlike a
+//! singular value it needs no exchange of metres for radians.
 //!
 //! Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
 //! manipulators with a high number of degrees of freedom", ICRA 1987.
