@@ -202,7 +202,7 @@ pub struct RobotFlags {
     /// condition number, and stops at the joints' ends.
     #[arg(long)]
     pub servo_rule: bool,
-    /// Arm file, in place of the scene's: the law is told of it, and `--robot urdf` is such a robot.
+    /// Arm file, in place of the scene's: the law is told of it, and `--robot urdf` is such a one.
     #[arg(long, value_name = "FILE")]
     pub arm: Option<PathBuf>,
     /// Tell the law of no arm, although the scene has one.

@@ -1,5 +1,5 @@
-//! `cargo table -- --robot panda` or `urdf`: strategies on the same starts against the emulated robot, in
-//! simulated time.
+//! `cargo table -- --robot panda` or `urdf`: strategies on the same starts against the emulated
+//! robot, in simulated time.
 
 use anyhow::Context;
 use hw_sim::following::FollowingReport;

@@ -49,8 +49,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     arm()
 }
 
-/// What the size of markers costs: the scene with tags, for a law that knows their size and one that
-/// takes them for points.
+/// What the size of markers costs: the scene with tags, for a law that knows their size and one
+/// that takes them for points.
 fn markers() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::parse(scene::TAGS_ROBOT, "tags-robot.toml")?;
     let starts = scene::parse_starts(scene::TAGS_ROBOT_STARTS, "tags-robot-starts.csv")?;

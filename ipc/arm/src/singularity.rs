@@ -10,8 +10,8 @@ use crate::shaper::{LEAST, ShaperSettings};
 const MOST: f64 = 0.7;
 /// Rate at which the rest may shrink, 1/s, as a share of it.
 const RATE: f64 = 2.0;
-/// Rate at which the nearness may grow all the same, 1/s, as a share of it, so that a singularity is
-/// never reached: a motion along the bound is curved, and is not stopped for that.
+/// Rate at which the nearness may grow all the same, 1/s, as a share of it, so that a singularity
+/// is never reached: a motion along the bound is curved, and is not stopped for that.
 const CREEP: f64 = 0.03;
 /// Time over which it is foreseen, s.
 const STEP: f64 = 1e-3;

@@ -126,8 +126,8 @@ enum Body {
     Panda,
     /// The arm of --arm or of the scene; its bridge does not slow it down for its joints.
     Urdf,
-    /// The same as panda in real time, with vpcd, vpc-panda and hw-sim as processes: the bridge speaks the
-    /// vendor's protocol.
+    /// The same as panda in real time, with vpcd, vpc-panda and hw-sim as processes: the bridge
+    /// speaks the vendor's protocol.
     Fci,
 }
 

@@ -19,8 +19,8 @@ const SILENT_NS: u64 = 500_000_000;
 /// The domain of the service (systemd/vpcd.service).
 const SERVICE: &str = "/run/vpcd";
 
-/// Looks at the daemon and its robot, which should have the arm that is `given`, or else that of the
-/// daemon's scene.
+/// Looks at the daemon and its robot, which should have the arm that is `given`, or else that of
+/// the daemon's scene.
 pub(super) fn examine(directory: &Path, watch: Duration, given: Option<&Arm>) -> Vec<Finding> {
     let mut findings = Vec::new();
     match Presence::of(directory) {

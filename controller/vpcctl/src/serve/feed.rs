@@ -125,8 +125,8 @@ fn row(record: &CycleRecord) -> Value {
     row.collect()
 }
 
-/// Name, position with its unit, whether it binds, and places in the range from 0 to 1: of the joint,
-/// and between which the law keeps it; null where it turns without end.
+/// Name, position with its unit, whether it binds, and places in the range from 0 to 1: of the
+/// joint, and between which the law keeps it; null where it turns without end.
 fn bar(joint: &Joint) -> Value {
     let [least, most] = joint.range;
     let places = [joint.q, least + joint.margin, most - joint.margin];
