@@ -103,14 +103,7 @@ impl Joints {
             let size = [(to - from).max(1.0), PANEL];
             canvas.rect([from, top], size, "fill=\"#e69f00\" fill-opacity=\"0.35\"");
         }
-        for value in [least, greatest] {
-            let text = format!("{value:.2}");
-            canvas.text(LEFT[0] - 6.0, y(value) + 3.5, 9.0, "end", &text);
-        }
-        self.curve(canvas, LEFT[0], joint, &self.q, y);
-        let name = format!("q{}", joint + 1);
-        canvas.text(LEFT[0] + 8.0, top + 18.0, 11.0, "start", &name);
-        self.frame(canvas, LEFT[0], top);
+        self.position(canvas, top, joint, [least, greatest], y);
     }
 
     /// The position of a joint that turns without end.
@@ -121,7 +114,19 @@ impl Joints {
         let middle = 0.5 * (least + greatest);
         let half = (0.6 * (greatest - least)).max(0.1);
         let y = |q: f64| top + PANEL * (0.5 - 0.5 * (q - middle) / half);
-        for value in [least, greatest] {
+        self.position(canvas, top, joint, [least, greatest], y);
+    }
+
+    /// The curve of a joint's position, with its name and the values at its axis; `y` places one.
+    fn position(
+        &self,
+        canvas: &mut Canvas,
+        top: f64,
+        joint: usize,
+        values: [f64; 2],
+        y: impl Fn(f64) -> f64,
+    ) {
+        for value in values {
             let text = format!("{value:.2}");
             canvas.text(LEFT[0] - 6.0, y(value) + 3.5, 9.0, "end", &text);
         }

@@ -28,8 +28,8 @@ impl Patience {
     };
 
     /// Lets a period of `seconds` pass at the end of which the features are `error_px` from the
-    /// goal. With hope (a way that arrives, or a goal that is near and not
-    /// beyond the arm) time does not count.
+    /// goal. With hope (a way that arrives, or a near goal that the arm reaches) time does not
+    /// count.
     pub fn pass(&mut self, error_px: f64, has_hope: bool, seconds: f64) {
         if has_hope || error_px < PROGRESS * self.least_px {
             (self.least_px, self.seconds) = (error_px, 0.0);
