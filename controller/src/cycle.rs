@@ -328,7 +328,8 @@ impl<'m> Cycle<'m> {
 
     fn send(&mut self, answer: &Answer, record: &mut CycleRecord) -> Result<(), PublishError> {
         let decision = &answer.decision;
-        let command = TwistCommand::answer_to(&answer.stamp, decision.twist, decision.state);
+        let command = TwistCommand::answer_to(&answer.stamp, decision.twist, decision.state)
+            .with_elbow(decision.elbow);
         let command = match self.control.rules().valid_ns {
             Some(valid_ns) => command.valid_until(now_ns().saturating_add(valid_ns)),
             None => command,

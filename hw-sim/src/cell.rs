@@ -36,6 +36,8 @@ pub struct Exposed {
 pub struct Order {
     /// Camera velocity, camera frame, m/s and rad/s.
     pub twist: [f64; 6],
+    /// Velocity of the arm's elbow, rad/s.
+    pub elbow: f64,
     /// When it was sent, ns.
     pub sent_ns: u64,
     /// When it ends, ns.

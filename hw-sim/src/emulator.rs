@@ -344,10 +344,14 @@ impl<'a> Session<'a> {
             return;
         }
         let (sent_ns, now) = (command.stamp.published_ns, now_ns());
-        let (twist, sent_ns) = match self.is_live() {
+        let (twist, elbow, sent_ns) = match self.is_live() {
             // One from the future moves nothing, now or later.
-            true => (command.in_force(now), sent_ns.min(now)),
-            false => (command.twist, sent_ns),
+            true => (
+                command.in_force(now),
+                command.elbow_in_force(now),
+                sent_ns.min(now),
+            ),
+            false => (command.twist, command.elbow, sent_ns),
         };
         let still = [Some(TwistState::Disarmed), Some(TwistState::Stopped)];
         let is_armed = !still.contains(&command.state());
@@ -358,6 +362,7 @@ impl<'a> Session<'a> {
         }
         cell.obey(&Order {
             twist,
+            elbow,
             sent_ns,
             until_ns: match self.is_live() {
                 true => command.in_force_until_ns(),

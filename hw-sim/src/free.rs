@@ -200,6 +200,7 @@ mod tests {
         cell.begin(1_000_000_000);
         cell.obey(&Order {
             twist: [0.1, 0.0, 0.0, 0.0, 0.0, 0.0],
+            elbow: 0.0,
             sent_ns: 1_010_000_000,
             until_ns: 1_100_000_000,
             is_armed: true,
@@ -229,6 +230,7 @@ mod tests {
             let now_ns = cell.due_ns();
             cell.obey(&Order {
                 twist,
+                elbow: 0.0,
                 sent_ns: now_ns,
                 until_ns: now_ns + 100_000_000,
                 is_armed: true,

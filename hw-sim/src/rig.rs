@@ -232,7 +232,7 @@ impl Cell for Rig {
             self.progress.begin(self.now_ns());
         }
         if self.obeys_controller() {
-            let limited = self.arm.obey(&order.twist, order.until_ns);
+            let limited = self.arm.obey(&order.twist, order.elbow, order.until_ns);
             self.progress.limited += u64::from(limited);
         }
     }
@@ -382,6 +382,7 @@ mod tests {
             // A controller that follows the object exactly.
             rig.obey(&Order {
                 twist: rig.object_twist(),
+                elbow: 0.0,
                 sent_ns: ms * STEP_NS,
                 until_ns: u64::MAX,
                 is_armed: true,
@@ -417,6 +418,7 @@ mod tests {
         let mut rig = Rig::new(&scene, &scene.goal, &settings).unwrap();
         rig.obey(&Order {
             twist: [0.0; 6],
+            elbow: 0.0,
             sent_ns: 0,
             until_ns: u64::MAX,
             is_armed: true,

@@ -169,6 +169,7 @@ pub fn run(
             let ruled = course.rule.map(|rule| rule.scale(&q, &record.twist));
             rig.obey(&Order {
                 twist: ruled.unwrap_or(record.twist),
+                elbow: record.elbow,
                 sent_ns: now_ns,
                 until_ns: now_ns + (1e9 * PERIODS * scene.sampling_time()) as u64,
                 is_armed,

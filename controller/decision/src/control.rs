@@ -247,9 +247,10 @@ impl<'m> ControlStep<'m> {
         // plan, so that a replay needs no other clock.
         let effective_ns = self.effective_ns(&proposed.stamp, inputs.now_ns);
         self.law.sent(&decision.twist, effective_ns);
+        self.law.sent_elbow(decision.elbow);
         self.robot.sent(&decision.twist, inputs.now_ns);
         record.features_sequence = proposed.stamp.sequence;
-        record.twist = decision.twist;
+        (record.twist, record.elbow) = (decision.twist, decision.elbow);
         record.state = decision.state.code();
         record.hold = Hold::number(decision.hold);
         Answer {
@@ -409,6 +410,7 @@ impl<'m> ControlStep<'m> {
         let twist = self.way.back(task.period)?;
         Some(Decision {
             twist: limit::approach(&twist, self.law.standing(), task, task.period),
+            elbow: 0.0,
             state: TwistState::Moving,
             hold: None,
         })

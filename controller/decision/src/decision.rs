@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 pub struct Decision {
     /// Camera twist, camera frame, m/s and rad/s.
     pub twist: [f64; 6],
+    /// Velocity of the arm's elbow, rad/s.
+    pub elbow: f64,
     /// State of the controller.
     pub state: TwistState,
     /// Why the twist of the law is not sent; `None` if it is.
@@ -24,6 +26,7 @@ impl Decision {
     pub const fn still(hold: Hold, state: TwistState) -> Self {
         Self {
             twist: [0.0; 6],
+            elbow: 0.0,
             state,
             hold: Some(hold),
         }

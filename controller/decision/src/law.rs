@@ -47,9 +47,12 @@ impl Bounds {
         if step.stands {
             return Decision::hold(Hold::NoWay);
         }
+        let has_arrived = self.has_arrived(step, own, had_arrived);
         Decision {
             twist: step.twist,
-            state: match self.has_arrived(step, own, had_arrived) {
+            // At the goal the whole arm comes to rest.
+            elbow: if has_arrived { 0.0 } else { step.elbow },
+            state: match has_arrived {
                 true => TwistState::Arrived,
                 false => TwistState::Moving,
             },

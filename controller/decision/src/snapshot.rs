@@ -10,7 +10,7 @@ use messages::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 11;
+pub const VERSION: u32 = 12;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -90,6 +90,7 @@ mod tests {
                 f64::MAX,
                 -f64::NAN,
             ],
+            elbow: f64::NEG_INFINITY,
             state: TwistState::Disarmed,
             hold: Some(Hold::Frozen),
         };

@@ -394,6 +394,7 @@ impl Supervisor {
         }
         Decision {
             twist: self.sent.twist.map(|v| v * (slower / speed)),
+            elbow: 0.0,
             state: TwistState::Braking,
             hold: Some(hold),
         }

@@ -163,7 +163,7 @@ fn seen(scene: &Scene, law: &mut Law<Vec<f64>>, start: &Pose) -> Vec<Seen> {
         let motion = Motion::of_camera(&step.twist, period);
         points.iter_mut().for_each(|x| *x = motion.apply(x));
         if let Some(arm) = &arm {
-            q = arm.moved(&q, &step.twist, period);
+            q = arm.moved(&q, &step.twist, step.elbow, period);
         }
     }
     seen

@@ -57,6 +57,7 @@ pub fn of(scene: &scene::Arm) -> Arm {
         margin: scene.margin,
         speed: scene.speed,
         strain: scene.strain,
+        is_elbow_free: scene.is_elbow_free,
         walls: walls.collect(),
         points: points.collect(),
     }
@@ -83,14 +84,15 @@ impl Posture {
     }
 }
 
-/// The joints after the camera has moved at `twist` for `seconds`.
+/// The joints after the camera has moved at `twist`, and the elbow at `elbow`, rad/s, for `seconds`.
 pub(crate) fn moved(
     arm: Option<&Arm>,
     q: Option<&Joints>,
     twist: &Twist,
+    elbow: f64,
     seconds: f64,
 ) -> Option<Joints> {
-    Some(arm?.moved(q?, twist, seconds))
+    Some(arm?.moved(q?, twist, elbow, seconds))
 }
 
 /// How far a command is within a damper, px; negative beyond it.

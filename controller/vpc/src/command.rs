@@ -42,7 +42,7 @@ impl Policy<'_> {
         present: &Present<'_>,
         aim: &Points,
         target: &Points,
-    ) -> (Twist, Solution) {
+    ) -> (Twist, Solution, f64) {
         let Present {
             initial,
             warm,
@@ -64,7 +64,8 @@ impl Policy<'_> {
         };
         let braking = repeated(&problem.braking());
         let solution = solver.solve_from(&problem, &[*warm, braking]);
-        (limit::command(solver, &problem, &solution), solution)
+        let elbow = dampers.as_ref().map_or(0.0, |dampers| dampers.elbow);
+        (limit::command(solver, &problem, &solution), solution, elbow)
     }
 
     /// l(v) of a command, held over the window, always against the goal with the fixed schedule of

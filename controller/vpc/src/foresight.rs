@@ -643,7 +643,7 @@ impl Thinker<'_> {
                 warm: &now.previous,
                 extra_px: self.extra_px,
             };
-            let (twist, solution) = policy.command(self.solver, &present, aim, aim);
+            let (twist, solution, elbow) = policy.command(self.solver, &present, aim, aim);
             let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost,
@@ -658,6 +658,7 @@ impl Thinker<'_> {
             }
             (now.previous, now.standing) = (solution.warm(&twist), twist);
             now.step += 1;
+            initial.elbow = elbow;
             match initial.moved(task, settings.model, &twist, task.ts) {
                 Some(next) => initial = next,
                 None => return ended(&now, Outcome::Unknown),

@@ -1,6 +1,6 @@
 //! The law, one cycle at a time.
 
-use ::arm::Joints;
+use ::arm::{Dampers, Joints};
 use scene::Scene;
 
 use crate::arm::{Cause, Posture};
@@ -82,6 +82,8 @@ pub struct Step {
     pub stands: bool,
     /// What of the arm binds the twist, where the arm is known.
     pub cause: Option<Cause>,
+    /// The velocity of the arm's elbow to send, rad/s: of joint 3 of seven, where it is not held.
+    pub elbow: f64,
     /// How the solver ended.
     pub status: Status,
     /// Whether the memory was asked, and whether its answer was used.
@@ -171,6 +173,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
         self.state.history.push(twist, at_ns);
         self.state.standing = *twist;
+    }
+
+    /// Records the velocity of the arm's elbow that was sent with the last command, rad/s.
+    pub fn sent_elbow(&mut self, elbow: f64) {
+        self.state.elbow = elbow;
     }
 
     /// Takes the positions of the arm's joints at an instant, base to flange, rad or m; only in a
@@ -442,7 +449,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             }
         }
         step.twist = self.slowed(&initial, &step.twist);
-        step.cause = self.cause(&initial, &step.twist);
+        let dampers = self.dampers(&initial);
+        step.cause = arm::cause(dampers.as_ref(), &step.twist, &self.task.limits);
+        step.elbow = dampers.map_or(0.0, |dampers| dampers.elbow);
         self.predict(&initial, &step.twist);
         let policy = Policy {
             task: &self.task,
@@ -452,7 +461,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         step.cost = solver.map_or(0.0, |mut solver| {
             policy.running_cost(&mut solver, &initial, &step.twist)
         });
-        self.root = Some(initial);
+        self.root = Some(initial.with_elbow(step.elbow));
         self.spent = step.cost / self.settings.np as f64;
         step
     }
@@ -464,7 +473,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let is_near = error_px < FAR * self.converged_px;
         let is_held_up = is_near
             && error_px >= self.converged_px
-            && self.cause(initial, &self.state.standing).is_some();
+            && arm::cause(
+                self.dampers(initial).as_ref(),
+                &self.state.standing,
+                &self.task.limits,
+            )
+            .is_some();
         let State {
             foresight,
             patience,
@@ -588,7 +602,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         }
         let mean = self.state.history.mean(seen_ns, at_ns);
         let seconds = (at_ns - seen_ns) as f64 * 1e-9;
-        arm::moved(self.task.arm.as_ref(), Some(&q), &mean, seconds)
+        let elbow = self.state.elbow;
+        arm::moved(self.task.arm.as_ref(), Some(&q), &mean, elbow, seconds)
     }
 
     /// The share of the expected features that stays in those to steer by. None of these is further
@@ -848,7 +863,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             step.status = Status::NumericalFailure;
             return;
         };
-        let (twist, solution) = policy.command(&mut solver, &present, aim, &target);
+        let (twist, solution, _) = policy.command(&mut solver, &present, aim, &target);
         step.twist = twist;
         step.status = solution.status;
         step.iterations = solution.iterations;
@@ -874,14 +889,13 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         limit::approach(&slower, &self.state.standing, &self.task, self.task.period)
     }
 
-    /// What of the arm binds a command.
-    fn cause(&self, initial: &InitialState, twist: &Twist) -> Option<Cause> {
+    /// What the arm allows of the next command.
+    fn dampers(&self, initial: &InitialState) -> Option<Dampers> {
         let seconds = match self.settings.strategy {
             Strategy::Ibvs => self.task.reach,
             _ => self.task.period,
         };
-        let dampers = self.task.dampers(initial.q.as_ref(), seconds);
-        arm::cause(dampers.as_ref(), twist, &self.task.limits)
+        self.task.dampers(initial.q.as_ref(), seconds)
     }
 
     /// Clearance kept from every border beside the settings': for hidden points, and for what is not

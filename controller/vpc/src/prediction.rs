@@ -72,6 +72,8 @@ pub struct InitialState {
     pub(crate) drift: Own,
     /// The joints of the arm, where it is known.
     pub(crate) q: Option<Joints>,
+    /// Velocity of the arm's elbow from here on, rad/s.
+    pub(crate) elbow: f64,
 }
 
 /// Longest step with which the motion of a depth model is integrated, as a share of the sampling
@@ -113,6 +115,7 @@ impl InitialState {
             tilt: pose.map(|(_, tilt)| tilt),
             drift: Own::NONE,
             q: None,
+            elbow: 0.0,
         }
     }
 
@@ -125,6 +128,12 @@ impl InitialState {
     /// The same with these joints of the arm.
     pub(crate) fn with_joints(mut self, q: Option<Joints>) -> Self {
         self.q = q;
+        self
+    }
+
+    /// The same with an elbow that turns so from here on, rad/s.
+    pub(crate) fn with_elbow(mut self, elbow: f64) -> Self {
+        self.elbow = elbow;
         self
     }
 
@@ -177,7 +186,13 @@ impl InitialState {
                 self.drift.after(seconds).carried(&motion)
             }
         };
-        let q = arm::moved(task.arm.as_ref(), self.q.as_ref(), twist, seconds);
+        let q = arm::moved(
+            task.arm.as_ref(),
+            self.q.as_ref(),
+            twist,
+            self.elbow,
+            seconds,
+        );
         match &self.geometry {
             Geometry::Positions(before) => {
                 let motion = Motion::of_camera(&relative, seconds);
@@ -196,6 +211,7 @@ impl InitialState {
                     }),
                     drift,
                     q,
+                    elbow: self.elbow,
                 })
             }
             Geometry::Depths(_) => {
@@ -335,6 +351,7 @@ impl InitialState {
                 tilt: None,
                 drift: self.drift,
                 q: None,
+                elbow: 0.0,
             }
         };
         let middle = at(slide(&self.points, self, 0.5 * h)?);

@@ -53,6 +53,8 @@ pub struct State {
     pub blind: Blind,
     /// Where the arm's joints were told to be, where it is known.
     pub joints: Option<Posture>,
+    /// The velocity of the arm's elbow that was sent last, rad/s.
+    pub elbow: f64,
     /// The recent features and commands, to check that the image follows.
     pub follow: Follow,
     /// The command that was sent last.
@@ -81,6 +83,7 @@ impl State {
             drift: Drift::NONE,
             blind: Blind::whole(0),
             joints: None,
+            elbow: 0.0,
             follow: Follow::NEW,
             standing: [0.0; DOF],
             history: History::new(),

@@ -107,7 +107,7 @@ fn whatever_the_law_is_shown_no_command_leads_a_joint_out_of_its_range() {
             }
             // A robot that obeys at once, a millisecond at a time.
             for _ in 0..33 {
-                q = arm.moved(&q, &step.twist, 1e-3);
+                q = arm.moved(&q, &step.twist, step.elbow, 1e-3);
             }
             let left = room(&arm, &q);
             bound += usize::from(left < 1.05 * arm.margin);
@@ -190,7 +190,7 @@ fn arrives(
         law.think(None);
         let dampers = arm::Dampers::at(&bridge, &q, &acceleration, 0.033);
         let share = dampers.share(&step.twist);
-        q = arm.moved(&q, &step.twist.map(|v| share * v), 1.0 / 30.0);
+        q = arm.moved(&q, &step.twist.map(|v| share * v), step.elbow, 1.0 / 30.0);
     }
     false
 }
@@ -313,7 +313,7 @@ fn near_a_goal_behind_a_wall_it_stands_and_tells_the_wall() {
         let step = law.step(&measured, None).unwrap();
         law.sent(&step.twist, now_ns);
         law.think(None);
-        q = arm.moved(&q, &step.twist, 1.0 / 30.0);
+        q = arm.moved(&q, &step.twist, step.elbow, 1.0 / 30.0);
         lowest = lowest.min(arm.chain.pose(&q).translation.z);
         last = Some((step.stands, step.cause, step.error_px));
     }

@@ -138,8 +138,8 @@ pub struct Command {
     pub dq_c: [f64; 7],
     /// End effector's velocity along base axes, m/s and rad/s.
     pub o_dp_ee_c: [f64; 6],
-    /// Whether an elbow is commanded as well.
-    pub has_elbow: bool,
+    /// Position of joint 3, the elbow, rad, where one is commanded.
+    pub elbow_c: Option<f64>,
     /// Whether it is the last one of its motion.
     pub is_last: bool,
 }

@@ -174,12 +174,16 @@ impl Table {
             return None;
         }
         // message_id, q_c, dq_c, O_T_EE_c, O_dP_EE_c, elbow_c, two flags; torques.
-        let [dq, twist, flags] = [8 + 56, 8 + 56 + 56 + 128, 8 + 56 + 56 + 128 + 48 + 16];
+        let [dq, twist] = [8 + 56, 8 + 56 + 56 + 128];
+        let [elbow, flags] = [twist + 48, twist + 48 + 16];
         Some(Command {
             message_id: u64::from_le_bytes(bytes.get(..8)?.try_into().ok()?),
             dq_c: numbers(bytes, dq)?,
             o_dp_ee_c: numbers(bytes, twist)?,
-            has_elbow: *bytes.get(flags)? != 0,
+            elbow_c: match *bytes.get(flags)? {
+                0 => None,
+                _ => numbers::<1>(bytes, elbow)?.first().copied(),
+            },
             is_last: *bytes.get(flags + 1)? != 0,
         })
     }
@@ -306,7 +310,7 @@ mod tests {
         let command = Version::V5.table().read_command(&bytes).unwrap();
         assert_eq!((command.message_id, command.dq_c[0]), (7, 0.25));
         assert_eq!(command.o_dp_ee_c[0], 0.5);
-        assert!(command.is_last && !command.has_elbow);
+        assert!(command.is_last && command.elbow_c.is_none());
     }
 
     #[test]

@@ -25,6 +25,7 @@ fn answer(robot: &Robot, twist: Twist) -> Command {
     Command {
         id: robot.state().id,
         motion: Motion::Cartesian(twist),
+        elbow: None,
         finished: false,
     }
 }

@@ -75,14 +75,22 @@ impl Generator {
 
     /// The desired joints after a period of this motion, and what is wrong with them. With errors
     /// the step must not be taken, and the generator is of no further use. A motion of another kind
-    /// is the extrapolation.
-    pub fn advance(&mut self, motion: &Motion, from: &Setpoint) -> (Setpoint, Errors) {
+    /// is the extrapolation. `elbow` is where joint 3 is to be in a Cartesian one, rad.
+    pub fn advance(
+        &mut self,
+        motion: &Motion,
+        elbow: Option<f64>,
+        from: &Setpoint,
+    ) -> (Setpoint, Errors) {
+        if let (Self::Cartesian(g), Some(elbow)) = (&mut *self, elbow) {
+            g.ik.turn_elbow(elbow);
+        }
         match (&mut *self, motion) {
             (Self::Cartesian(g), Motion::Cartesian(twist)) => g.advance(twist, from),
             (Self::Joint(g), Motion::Joint(dq)) => g.advance(dq, from),
             _ => {
                 let motion = self.extrapolation();
-                self.advance(&motion, from)
+                self.advance(&motion, None, from)
             }
         }
     }

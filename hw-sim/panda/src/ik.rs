@@ -39,8 +39,9 @@ const ELBOW_BOUNDS: [f64; 2] = [1.0, 100.0];
 pub struct VelocityIk {
     chain: Chain,
     limits: &'static Limits,
-    /// Where joint 3 is to stay, rad.
+    /// Where joint 3 is to be, rad, and how fast that moves, rad/s.
     elbow: f64,
+    elbow_rate: f64,
     /// The direction in which joints move without the end effector, of length 1; its sign does not
     /// jump.
     free: Joints,
@@ -56,6 +57,7 @@ impl VelocityIk {
             chain,
             limits,
             elbow: q[2],
+            elbow_rate: 0.0,
             free: Joints::zeros(),
             speed: 0.0,
             acceleration: 0.0,
@@ -70,6 +72,12 @@ impl VelocityIk {
         ik
     }
 
+    /// Joint 3 is to be there after the next period, rad.
+    pub fn turn_elbow(&mut self, elbow: f64) {
+        self.elbow_rate = (elbow - self.elbow) / PERIOD;
+        self.elbow = elbow;
+    }
+
     /// Joint velocities for the period that begins at `from`, such that the end effector moves at
     /// `twist` (base axes) and is at `reference` in the middle of the period.
     pub fn step(&mut self, from: &Setpoint, twist: &Twist, reference: &Pose) -> Joints {
@@ -81,6 +89,7 @@ impl VelocityIk {
         self.turn_free(&system);
         let task = system.solve(&wanted);
         let target = self.elbow_speed(&q, task[2]);
+        self.elbow_rate = 0.0;
         (self.speed, self.acceleration) =
             approach(target, (self.speed, self.acceleration), ELBOW_BOUNDS);
         task + self.free * self.speed
@@ -108,7 +117,7 @@ impl VelocityIk {
         // Where the free direction hardly turns joint 3, the quotient fades instead of growing.
         let turns = self.free[2];
         let share = turns / (turns * turns + ELBOW_FADE);
-        let hold = share * (ELBOW_RATE * (self.elbow - q[2]) - task);
+        let hold = share * (ELBOW_RATE * (self.elbow - q[2]) + self.elbow_rate - task);
         (hold + self.free.dot(&repulsion(q, self.limits))).clamp(-ELBOW_SPEED, ELBOW_SPEED)
     }
 }

@@ -62,9 +62,18 @@ pub struct Command {
     pub id: u64,
     /// The commanded velocity, m/s and rad/s or rad/s for each joint.
     pub motion: Motion,
+    /// Position of joint 3, the elbow, rad, of a Cartesian motion; `None`: where the motion began.
+    pub elbow: Option<f64>,
     /// The last command of this motion. The next would be zero: a robot that still moves goes into
     /// reflex.
     pub finished: bool,
+}
+
+impl Command {
+    /// Whether all numbers are finite.
+    fn is_finite(&self) -> bool {
+        self.motion.is_finite() && self.elbow.is_none_or(f64::is_finite)
+    }
 }
 
 /// The outcome of a millisecond.
@@ -104,7 +113,7 @@ impl Interface {
     /// are dropped, where libfranka would not have let them out.
     pub fn receive(&mut self, expected: u64, arrived: &[Command]) -> Reception {
         let good =
-            |c: &&Command| c.id == expected && c.motion.kind() == self.kind && c.motion.is_finite();
+            |c: &&Command| c.id == expected && c.motion.kind() == self.kind && c.is_finite();
         let accepted = arrived.iter().find(good).copied();
         self.history = self.history << 1 | u128::from(accepted.is_some());
         self.received = (self.received + 1).min(WINDOW);
@@ -141,6 +150,7 @@ mod tests {
         Command {
             id,
             motion: Motion::Cartesian(Twist::zeros()),
+            elbow: None,
             finished: false,
         }
     }

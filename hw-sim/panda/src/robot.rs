@@ -174,16 +174,16 @@ impl Robot {
         let Some((generator, link)) = &mut self.motion else {
             return;
         };
-        let (motion, finished) = match link.receive(self.state.id, arrived) {
-            Reception::Accepted(command) => (command.motion, command.finished),
-            Reception::Lost => (generator.extrapolation(), false),
+        let (motion, elbow, finished) = match link.receive(self.state.id, arrived) {
+            Reception::Accepted(command) => (command.motion, command.elbow, command.finished),
+            Reception::Lost => (generator.extrapolation(), None, false),
             Reception::Aborted => {
                 self.reflex(Flag::CommunicationConstraintsViolation.into());
                 self.brake();
                 return;
             }
         };
-        let (desired, errors) = generator.advance(&motion, &self.desired);
+        let (desired, errors) = generator.advance(&motion, elbow, &self.desired);
         if !errors.is_empty() {
             self.reflex(errors);
             self.brake();
@@ -192,7 +192,7 @@ impl Robot {
         self.desired = desired;
         if finished {
             // The next command would be zero: no error where that is no jump.
-            let (_, errors) = generator.advance(&Motion::zero(motion.kind()), &self.desired);
+            let (_, errors) = generator.advance(&Motion::zero(motion.kind()), None, &self.desired);
             match errors.is_empty() {
                 true => self.end_motion(Errors::NONE),
                 false => self.reflex(errors),

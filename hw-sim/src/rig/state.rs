@@ -46,6 +46,7 @@ mod tests {
         assert_eq!(rig.state().mode(), Some(RobotMode::Idle));
         rig.obey(&Order {
             twist: [0.01, 0.0, 0.0, 0.0, 0.0, 0.03],
+            elbow: 0.0,
             sent_ns: 0,
             until_ns: u64::MAX,
             is_armed: true,

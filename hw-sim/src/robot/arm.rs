@@ -164,9 +164,11 @@ impl Arm {
     }
 
     /// Takes a command of the controller: camera velocity in the camera frame (m/s, rad/s), to hold
-    /// until `until_ns`. Returns whether it was outside the limits and was cut.
-    pub fn obey(&mut self, twist: &[f64; 6], until_ns: u64) -> bool {
+    /// until `until_ns`, and that of the elbow, rad/s. Returns whether it was outside the limits and
+    /// was cut.
+    pub fn obey(&mut self, twist: &[f64; 6], elbow: f64, until_ns: u64) -> bool {
         self.bridge.obey(twist, until_ns, &self.caps);
+        self.bridge.turn_elbow(elbow);
         self.bridge.limited().is_cut
     }
 

@@ -1,7 +1,7 @@
 //! The emulator's own bridge, a driver of the core that real bridges have. Nothing
 //! else of the emulator may use the crate `arm`.
 
-use arm::{Chain, Driver, Echo, Limits, Measured, Mount, Ramp, Reserve, Room, ShaperSettings};
+use arm::{Chain, Driver, Echo, Limits, Measured, Mount, PERIOD, Ramp, Reserve, Room, ShaperSettings};
 use panda::{Command, Model, Motion, Pose, Robot, Twist};
 use scene::Scene;
 
@@ -13,6 +13,11 @@ const RESERVE: Reserve = Reserve {
     margin: 0.15,
     speed: 0.3,
 };
+
+/// The index of joint 3.
+const ELBOW: usize = 2;
+/// The most that the elbow's command is ahead of the joint, rad.
+const ELBOW_LEAD: f64 = 0.05;
 
 /// Ramps that reach any velocity within a millisecond.
 const STAIRCASE: ShaperSettings = {
@@ -39,6 +44,8 @@ pub struct Emulated {
     limits: Option<&'static Limits>,
     /// `None` where the staircase goes out as it is.
     shaper: Option<ShaperSettings>,
+    /// Where joint 3 is to be, rad; `None` before it was to turn.
+    elbow: Option<f64>,
 }
 
 /// The ramps of a robot in this scene. One that is not Franka's accelerates by the scene's limits,
@@ -72,6 +79,7 @@ pub fn bridge(
         robot,
         limits: model.map(arm::Model::limits),
         shaper,
+        elbow: None,
     };
     let mount = Mount { flange_from_camera };
     Bridge::new(driver, mount, shaper.unwrap_or(STAIRCASE))
@@ -99,10 +107,20 @@ impl Driver for Emulated {
         })
     }
 
+    fn turn_elbow(&mut self, elbow: f64) {
+        if elbow == 0.0 {
+            return;
+        }
+        let at = self.robot.state().q_d[ELBOW];
+        let led = self.elbow.unwrap_or(at) + elbow * PERIOD;
+        self.elbow = Some(led.clamp(at - ELBOW_LEAD, at + ELBOW_LEAD));
+    }
+
     fn command(&mut self, twist: &Twist) {
         let command = Command {
             id: self.robot.state().id,
             motion: Motion::Cartesian(*twist),
+            elbow: self.elbow,
             finished: false,
         };
         self.robot.step(&[command]);
@@ -147,7 +165,7 @@ mod tests {
                         sign(random) * if k < 3 { limits.linear } else { limits.angular }
                     })
                 };
-                arm.obey(&twist, (ms + 100) * MS);
+                arm.obey(&twist, 0.0, (ms + 100) * MS);
             }
             arm.step(ms * MS);
         }
@@ -165,7 +183,7 @@ mod tests {
             let mut arm = Arm::new(&scene, start, &ArmSettings::default()).unwrap();
             for ms in 0..8_000 {
                 if ms % 33 == 0 {
-                    arm.obey(&twist, (ms + 100) * MS);
+                    arm.obey(&twist, 0.0, (ms + 100) * MS);
                 }
                 arm.step(ms * MS);
             }
@@ -196,7 +214,7 @@ mod tests {
         let limits = scene().limits;
         let fast = [limits.linear; 3].into_iter().chain([limits.angular; 3]);
         let twist: Vec<f64> = fast.collect();
-        arm.obey(&twist.try_into().unwrap(), 100 * MS);
+        arm.obey(&twist.try_into().unwrap(), 0.0, 100 * MS);
         for ms in 0..100 {
             arm.step(ms * MS);
         }
@@ -226,7 +244,7 @@ mod tests {
         let mut arm = arm(&starts[40], true);
         for ms in 0..18_000 {
             let roll = [0.0, 0.0, 0.0, 0.0, 0.0, -0.03];
-            arm.obey(&roll, (ms + 100) * MS);
+            arm.obey(&roll, 0.0, (ms + 100) * MS);
             arm.step(ms * MS);
         }
         assert!(!arm.is_at_rest());
@@ -244,7 +262,7 @@ mod tests {
         let twist = [0.004, -0.006, 0.002, 0.01, 0.02, -0.01];
         let apart = |settings: ArmSettings| {
             let mut arm = Arm::new(&scene(), &scene().goal, &settings).unwrap();
-            arm.obey(&twist, u64::MAX);
+            arm.obey(&twist, 0.0, u64::MAX);
             (0..300).for_each(|ms| arm.step(ms * MS));
             let before = arm.object();
             (300..400).for_each(|ms| arm.step(ms * MS));
@@ -261,11 +279,11 @@ mod tests {
     #[test]
     fn what_is_beyond_the_limits_is_cut_along_its_way_and_said_so() {
         let mut arm = arm(&scene().goal, true);
-        assert!(arm.obey(&[1.0, 0.5, 0.0, 0.0, 0.0, 0.0], 10));
+        assert!(arm.obey(&[1.0, 0.5, 0.0, 0.0, 0.0, 0.0], 0.0, 10));
         assert_eq!(arm.bridge.aimed(9), [0.01, 0.005, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(arm.bridge.aimed(10), [0.0; 6]);
-        assert!(arm.obey(&[f64::NAN, 0.01, 0.0, 0.0, 0.0, 0.0], 10));
+        assert!(arm.obey(&[f64::NAN, 0.01, 0.0, 0.0, 0.0, 0.0], 0.0, 10));
         assert_eq!(arm.bridge.aimed(9), [0.0; 6]);
-        assert!(!arm.obey(&[0.01, 0.0, 0.0, 0.0, 0.0, -0.03], 10));
+        assert!(!arm.obey(&[0.01, 0.0, 0.0, 0.0, 0.0, -0.03], 0.0, 10));
     }
 }

@@ -102,6 +102,7 @@ impl ControlUnit {
                     Some(Generator::JointVelocity) => Motion::Joint(Joints::from(command.dq_c)),
                     _ => Motion::Cartesian(Twist::from(command.o_dp_ee_c)),
                 },
+                elbow: command.elbow_c,
                 finished: command.is_last,
             })
             .collect()

@@ -89,6 +89,7 @@ mod tests {
             robot.step(&[Command {
                 id,
                 motion,
+                elbow: None,
                 finished: false,
             }]);
         }

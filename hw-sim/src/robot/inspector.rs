@@ -188,6 +188,7 @@ mod tests {
         *robot.step(&[Command {
             id,
             motion,
+            elbow: None,
             finished: false,
         }])
     }

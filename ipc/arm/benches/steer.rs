@@ -28,7 +28,7 @@ fn dampers(bencher: divan::Bencher) {
 #[divan::bench]
 fn joints_after_a_step(bencher: divan::Bencher) {
     let (arm, q) = law();
-    bencher.bench_local(|| black_box(&arm).moved(black_box(&q), black_box(&[0.05; 6]), 0.4));
+    bencher.bench_local(|| black_box(&arm).moved(black_box(&q), black_box(&[0.05; 6]), 0.0, 0.4));
 }
 
 /// An arm as the law knows it.

@@ -6,6 +6,7 @@
 
 use nalgebra::Vector3;
 
+use crate::elbow::FASTEST;
 use crate::kinematics::{Pose, Twist, split};
 use crate::mount::Mount;
 use crate::shaper::{Echo, Shaper, ShaperError, ShaperSettings};
@@ -53,6 +54,10 @@ pub trait Driver {
     fn room(&self, _twist: &Twist) -> Room {
         Room::FULL
     }
+
+    /// Joint 3 of seven, the elbow, is to turn at this velocity, rad/s, with the next command; it is
+    /// held where a driver leaves this out.
+    fn turn_elbow(&mut self, _elbow: f64) {}
 
     /// Commands this velocity for one millisecond.
     fn command(&mut self, twist: &Twist);
@@ -120,6 +125,8 @@ pub struct Bridge<D> {
     shaper: Shaper,
     /// The newest command, cut: camera axes, m/s and rad/s.
     command: Twist,
+    /// The velocity of the elbow with it, rad/s.
+    elbow: f64,
     /// When it ends, ns.
     until_ns: u64,
     limited: Limited,
@@ -137,6 +144,7 @@ impl<D: Driver> Bridge<D> {
             mount,
             shaper: Shaper::new(shaper)?,
             command: Twist::zeros(),
+            elbow: 0.0,
             until_ns: 0,
             limited: Limited::default(),
         })
@@ -156,7 +164,15 @@ impl<D: Driver> Bridge<D> {
             Twist::zeros()
         };
         self.until_ns = until_ns;
+        self.elbow = 0.0;
         self.limited.is_cut = share < 1.0 - ROUNDING;
+    }
+
+    /// Takes the velocity of joint 3 of seven, the elbow, that goes with the last command, rad/s:
+    /// at most [`FASTEST`]; zero where it is not finite.
+    pub fn turn_elbow(&mut self, elbow: f64) {
+        let is_finite = elbow.is_finite();
+        self.elbow = if is_finite { elbow.clamp(-FASTEST, FASTEST) } else { 0.0 };
     }
 
     /// One of the robot's milliseconds: answers its state.
@@ -178,6 +194,8 @@ impl<D: Driver> Bridge<D> {
         let share = room.workspace.min(room.joints);
         self.shaper.aim(&(wanted * share), self.until_ns);
         let twist = self.shaper.step_with(&measured.echo, room.ramps, now_ns);
+        let elbow = if self.is_stale(now_ns) { 0.0 } else { self.elbow };
+        self.driver.turn_elbow(elbow);
         self.driver.command(&twist);
     }
 

@@ -4,7 +4,8 @@
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
 //! | v | | the camera's velocity along camera axes, m/s and rad/s |
-//! | dq = M v | [`Dampers::joints`] | velocities of the joints, the elbow held |
+//! | dq = M v + s w | [`Dampers::joints`] | velocities of the joints |
+//! | s w | [`Dampers::elbow`] | what of them turns the elbow at w, rad/s, while the camera stands |
 //! | h(q) | | what is left: to the end of a range, to a wall, of the acceleration; negative beyond |
 //! | g v <= b | [`Bound`] | -dh/dt is no greater than what is left allows |
 //!
@@ -21,7 +22,8 @@
 use nalgebra::{Matrix6, RowSVector, SMatrix, SVector, Vector3};
 
 use crate::description::{Arm, MAX_POINTS, MAX_WALLS};
-use crate::ik::{Inverse, held, inverse, square};
+use crate::elbow;
+use crate::ik::{self, Inverse, held, inverse, square};
 use crate::kinematics::{JOINTS, Jacobian, Joints, Pose, Twist};
 use crate::reserve::nearing;
 use crate::singularity;
@@ -37,6 +39,9 @@ const TOLERANCE: f64 = 1e-5;
 const RIVAL: f64 = 0.8;
 /// Rate at which the share of the joints' accelerations that is left may shrink, 1/s.
 const RATE: f64 = 2.0;
+
+/// Share of what a bound leaves that the elbow may take of the camera.
+const ELBOWS: f64 = 0.5;
 
 /// Most bounds of an arm.
 pub const MAX_BOUNDS: usize = 3 * JOINTS + MAX_WALLS * MAX_POINTS;
@@ -77,8 +82,12 @@ impl Bound {
 /// The bounds of a posture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dampers {
-    /// M: from the camera's velocity along its axes to those of the joints.
+    /// M: from the camera's velocity along its axes to those of the joints, the elbow held.
     map: SMatrix<f64, JOINTS, 6>,
+    /// s: the velocities of the joints as the elbow turns at 1 rad/s.
+    free: Joints,
+    /// w: the velocity of the elbow, rad/s.
+    pub elbow: f64,
     /// Share of the camera's accelerations that the joints have room for, 0.01 to 1: as bridges
     /// shorten their ramps near a singular posture.
     pub ramps: f64,
@@ -96,10 +105,14 @@ impl Dampers {
         let (camera, jacobian) = arm.chain.at(q);
         let along = along_camera(&camera);
         let inverse = inverse(&jacobian);
-        let map = held(&inverse, &jacobian) * along;
-        let mut bounds = heapless::Vec::new();
-        let mut add = |gradient: [f64; 6], most, cause| {
+        let free = ik::elbow(&inverse, &jacobian);
+        let map = held(&inverse, &free) * along;
+        let mut bounds = heapless::Vec::<Bound, MAX_BOUNDS>::new();
+        // Of each bound, what the elbow takes as it turns at 1 rad/s.
+        let mut turns = heapless::Vec::<f64, MAX_BOUNDS>::new();
+        let mut add = |gradient: [f64; 6], turn, most, cause| {
             // There is room for all.
+            let _ = turns.push(turn);
             let _ = bounds.push(Bound {
                 gradient,
                 most,
@@ -116,18 +129,24 @@ impl Dampers {
                     most if most < fastest => (most, Cause::Joint(k)),
                     _ => (fastest, Cause::Speed(k)),
                 };
-                add(row.map(|g| sign * g), most, cause);
+                add(row.map(|g| sign * g), sign * free[k], most, cause);
             }
         }
         let mut ramps = 1.0;
+        let (mut strained, mut steepest) = (0.0, RowSVector::zeros());
         if accelerations.iter().all(|a| a.is_finite()) {
             let strain = Strain::at(arm, q, accelerations);
-            ramps = singularity::ramps(strain.shares.max());
+            strained = strain.shares.max();
+            ramps = singularity::ramps(strained);
             let rate = RATE.min(1.0 / least_s);
             for k in strain.largest() {
-                let gradient = (strain.gradient(arm, k) * map).transpose().into();
+                let by_joints = strain.gradient(arm, k);
+                if strain.shares[k] == strained {
+                    steepest = by_joints;
+                }
                 let most = rate * (arm.strain - strain.shares[k]).max(0.0);
-                add(gradient, most, Cause::Singularity);
+                let gradient = (by_joints * map).transpose().into();
+                add(gradient, (by_joints * free)[0], most, Cause::Singularity);
             }
         }
         for (i, wall) in arm.walls.iter().enumerate() {
@@ -138,10 +157,29 @@ impl Dampers {
                 let left = wall.distance(&(camera.translation.vector + away));
                 let moment = camera.rotation.inverse() * away.cross(&normal);
                 let gradient = [turned.x, turned.y, turned.z, moment.x, moment.y, moment.z];
-                add(gradient.map(|g| -g), damped(left), Cause::Wall(i));
+                add(gradient.map(|g| -g), 0.0, damped(left), Cause::Wall(i));
             }
         }
-        Self { map, ramps, bounds }
+        let mut elbow = 0.0;
+        if arm.is_elbow_free {
+            let wanted = elbow::rate(&arm.limits, arm.margin, q, &free, strained, &steepest);
+            let taken = turns.iter().map(|turn| turn * wanted);
+            let share = |(bound, taken): (&Bound, f64)| match taken > ELBOWS * bound.most {
+                true => ELBOWS * bound.most / taken,
+                false => 1.0,
+            };
+            elbow = wanted * bounds.iter().zip(taken).map(share).fold(1.0, f64::min);
+            for (bound, turn) in bounds.iter_mut().zip(&turns) {
+                bound.most -= (turn * elbow).max(0.0);
+            }
+        }
+        Self {
+            map,
+            free,
+            elbow,
+            ramps,
+            bounds,
+        }
     }
 
     /// How much of a camera's velocity they allow, 0 to 1.
@@ -159,17 +197,19 @@ impl Dampers {
 
     /// The velocities of the joints while the camera moves at `twist` along its axes.
     pub fn joints(&self, twist: &[f64; 6]) -> Joints {
-        self.map * Twist::from(*twist)
+        self.map * Twist::from(*twist) + self.free * self.elbow
     }
 }
 
 impl Arm {
-    /// The joints after the camera has moved at `twist` along its axes for so long, with the elbow
-    /// held; by the midpoint rule.
-    pub fn moved(&self, q: &Joints, twist: &[f64; 6], seconds: f64) -> Joints {
+    /// The joints after the camera has moved at `twist` along its axes for so long, and the elbow at
+    /// `elbow`, rad/s; by the midpoint rule.
+    pub fn moved(&self, q: &Joints, twist: &[f64; 6], elbow: f64, seconds: f64) -> Joints {
         let velocities = |q: &Joints| {
             let (camera, jacobian) = self.chain.at(q);
-            held(&inverse(&jacobian), &jacobian) * (along_camera(&camera) * Twist::from(*twist))
+            let inverse = inverse(&jacobian);
+            let free = ik::elbow(&inverse, &jacobian);
+            held(&inverse, &free) * (along_camera(&camera) * Twist::from(*twist)) + free * elbow
         };
         let middle = q + velocities(q) * (0.5 * seconds);
         q + velocities(&middle) * seconds
@@ -299,6 +339,7 @@ mod tests {
             margin: 0.2,
             speed: 0.25,
             strain: 0.6,
+            is_elbow_free: false,
             walls: [wall].into_iter().collect(),
             points: [[0.0; 3], [0.0, 0.0, 0.1]].into_iter().collect(),
         }
@@ -317,7 +358,7 @@ mod tests {
             let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, 0.0);
             let dq = dampers.joints(&twist);
             let h = 1e-6;
-            let moved = (arm.moved(&q, &twist, h) - arm.moved(&q, &twist, -h)) / (2.0 * h);
+            let moved = (arm.moved(&q, &twist, dampers.elbow, h) - arm.moved(&q, &twist, dampers.elbow, -h)) / (2.0 * h);
             assert!((moved - dq).norm() < 1e-8);
             let height = |q: &Joints| {
                 let camera = arm.chain.pose(q);
@@ -367,7 +408,7 @@ mod tests {
             for _ in 0..300 {
                 let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, period);
                 let share = dampers.share(&wanted);
-                q = arm.moved(&q, &wanted.map(|v| share * v), period);
+                q = arm.moved(&q, &wanted.map(|v| share * v), dampers.elbow, period);
                 for (k, joint) in arm.limits.0.iter().enumerate() {
                     let [below, above] = joint.room(q[k]);
                     nearest = nearest.min(below).min(above);

@@ -26,6 +26,8 @@ pub struct Arm {
     /// Greatest share of a joint's acceleration that the end effector's may take, 0 to 1: the
     /// nearness to a singular posture.
     pub strain: f64,
+    /// Whether the elbow of seven joints turns by the rule of [`elbow`](crate::elbow), not held.
+    pub is_elbow_free: bool,
     /// Where its points may be.
     pub walls: heapless::Vec<Wall, MAX_WALLS>,
     /// Points that keep off the walls, along camera axes from the camera, m.

@@ -23,6 +23,8 @@ const ROUNDING: f64 = 1e-8;
 const ELBOW: usize = 2;
 /// Rate at which joint 3 returns to its reference, 1/s.
 const ELBOW_RATE: f64 = 2.0;
+/// The most that the reference of a joint 3 that is to turn is ahead of it, rad.
+const ELBOW_LEAD: f64 = 0.05;
 /// Squared part of joint 3 in the free direction under which the elbow is no longer held.
 const ELBOW_FADE: f64 = 0.02;
 /// Distance from the end of a joint's range at which it is pushed back, rad, and the speed at the
@@ -72,14 +74,19 @@ fn damping(measure: f64) -> f64 {
     (1.0 - measure / SINGULAR).max(0.0) * DAMPING
 }
 
-/// The same with the elbow of seven joints held: joint 3 stands, as far as the free direction turns
-/// it. An arm with fewer joints has no free direction.
-pub fn held(inverse: &Inverse, jacobian: &Jacobian) -> Inverse {
+/// The velocities of seven joints with which joint 3, the elbow, turns at 1 rad/s while the end
+/// effector stands: less where that hardly turns it, zero for an arm with fewer joints.
+pub fn elbow(inverse: &Inverse, jacobian: &Jacobian) -> Joints {
     if jacobian.column(JOINTS - 1).amax() == 0.0 {
-        return *inverse;
+        return Joints::zeros();
     }
     let free = free(inverse, jacobian, ELBOW);
-    inverse - free * (inverse.row(ELBOW) / (free[ELBOW] + ELBOW_FADE))
+    free / (free[ELBOW] + ELBOW_FADE)
+}
+
+/// The inverse with the elbow held, which would move so.
+pub fn held(inverse: &Inverse, elbow: &Joints) -> Inverse {
+    inverse - elbow * inverse.row(ELBOW)
 }
 
 /// The velocity inverse kinematics during one motion.
@@ -87,7 +94,7 @@ pub fn held(inverse: &Inverse, jacobian: &Jacobian) -> Inverse {
 pub struct VelocityIk {
     chain: Chain,
     limits: &'static Limits,
-    /// Where joint 3 is to stay, rad.
+    /// Where joint 3 is to be, rad.
     elbow: f64,
     /// The direction in which joints move without the end effector, of length 1; its sign does not
     /// jump.
@@ -118,8 +125,9 @@ impl VelocityIk {
     }
 
     /// Joint velocities for the period that begins at `from`, such that the end effector moves at
-    /// `twist` (base axes). An elbow that is not free comes to rest wherever it is.
-    pub fn step(&mut self, from: &Setpoint, twist: &Twist, is_elbow_free: bool) -> Joints {
+    /// `twist` (base axes) and joint 3 at `elbow`, rad/s. An elbow that is `None` comes to rest
+    /// wherever it is.
+    pub fn step(&mut self, from: &Setpoint, twist: &Twist, elbow: Option<f64>) -> Joints {
         // In the middle of the period: with that Jacobian a step is exact to second order.
         let q = from.q + (from.dq + from.ddq * PERIOD) * (0.5 * PERIOD);
         let jacobian = self.chain.jacobian(&q);
@@ -131,22 +139,23 @@ impl VelocityIk {
             self.free = free * (free.dot(&self.free).signum() / length);
         }
         let task = inverse * twist;
-        let target = match is_elbow_free {
-            true => self.elbow_speed(&q, task[ELBOW]),
-            false => 0.0,
-        };
+        let target = elbow.map_or(0.0, |rate| self.elbow_speed(&q, task[ELBOW], rate));
         (self.speed, self.acceleration) =
             ELBOW_RAMP.step(self.speed, self.acceleration, target, PERIOD);
         task + self.free * self.speed
     }
 
     /// The speed along the free direction that holds joint 3, which the task turns at `task` rad/s,
-    /// at its reference and keeps all joints off the ends of their ranges.
-    fn elbow_speed(&self, q: &Joints, task: f64) -> f64 {
+    /// at its reference, which moves at `rate`, and keeps all joints off the ends of their ranges.
+    fn elbow_speed(&mut self, q: &Joints, task: f64, rate: f64) -> f64 {
+        if rate != 0.0 {
+            let led = self.elbow + rate * PERIOD;
+            self.elbow = led.clamp(q[ELBOW] - ELBOW_LEAD, q[ELBOW] + ELBOW_LEAD);
+        }
         // Where the free direction hardly turns joint 3, the quotient fades instead of growing.
         let turns = self.free[ELBOW];
         let share = turns / (turns * turns + ELBOW_FADE);
-        let hold = share * (ELBOW_RATE * (self.elbow - q[ELBOW]) - task);
+        let hold = share * (ELBOW_RATE * (self.elbow - q[ELBOW]) + rate - task);
         (hold + self.free.dot(&self.repulsion(q))).clamp(-ELBOW_SPEED, ELBOW_SPEED)
     }
 
@@ -186,7 +195,7 @@ mod tests {
         };
         let mut ik = VelocityIk::new(chain, LIMITS, &desired.q);
         for _ in 0..ticks {
-            desired = desired.after(&ik.step(&desired, &twist, true));
+            desired = desired.after(&ik.step(&desired, &twist, Some(0.0)));
         }
         (chain, desired.q)
     }

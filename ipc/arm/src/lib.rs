@@ -7,6 +7,7 @@
 pub mod bridge;
 pub mod damper;
 pub mod description;
+pub mod elbow;
 pub mod ik;
 pub mod kinematics;
 pub mod limits;

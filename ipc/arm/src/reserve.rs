@@ -3,7 +3,7 @@
 use libm::sqrt;
 
 use crate::bridge::Room;
-use crate::ik::{held, inverse};
+use crate::ik::{elbow, held, inverse};
 use crate::kinematics::{Chain, JOINTS, Joints, Twist};
 use crate::limits::Limits;
 use crate::shaper::ShaperSettings;
@@ -37,7 +37,8 @@ impl Reserve {
         twist: &Twist,
     ) -> Room {
         let jacobian = chain.jacobian(q);
-        let dq = held(&inverse(&jacobian), &jacobian) * twist;
+        let inverse = inverse(&jacobian);
+        let dq = held(&inverse, &elbow(&inverse, &jacobian)) * twist;
         let clear = singularity::share(chain, limits, shaper, q, &dq);
         Room {
             joints: clear.min(self.share(limits, q, &dq)),

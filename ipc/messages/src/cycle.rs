@@ -438,6 +438,8 @@ message! {
         arm_bound: u32 [code(ArmBound)],
         /// Index of that joint, base to flange, or of that wall, from 0.
         arm_bound_index: u32,
+        /// Velocity of the arm's elbow that was sent.
+        elbow: f64 ["rad/s" finite],
     }
     // A buffer for recorders: half a minute at 30 Hz, a good part of a second in lockstep.
     "vpc/cycles" from "controller": Qos { history: 0, buffer: 1024, subscribers: 8, publishers: 1 }

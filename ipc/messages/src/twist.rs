@@ -48,6 +48,9 @@ message! {
         /// Camera velocity in the camera frame (x right, y down, z forward): vx vy vz wx wy wz,
         /// within the scene's limits.
         twist: [f64; 6] ["m/s, rad/s" finite],
+        /// Velocity of joint 3 of an arm with seven joints, the elbow, beside that motion; 0: the
+        /// elbow is held.
+        elbow: f64 ["rad/s" finite],
     }
     // No history: a camera that restarts must not execute a command from before.
     "vpc/twist" from "controller": Qos { history: 0, buffer: 64, subscribers: 8, publishers: 1 }
@@ -87,6 +90,11 @@ impl TwistCommand {
         }
     }
 
+    /// The same command with a velocity of the elbow, rad/s.
+    pub fn with_elbow(self, elbow: f64) -> Self {
+        Self { elbow, ..self }
+    }
+
     /// Whether this is the answer to the features message with this sequence number and time of
     /// publication.
     pub fn answers(&self, sequence: u64, published_ns: u64) -> bool {
@@ -107,11 +115,23 @@ impl TwistCommand {
     /// (CLOCK_MONOTONIC, ns). Zero when it is no longer in force, is from the future, or is not
     /// finite. Also ask it for zero before the first command.
     pub fn in_force(&self, now_ns: u64) -> [f64; 6] {
-        let is_from_future = self.stamp.published_ns > now_ns.saturating_add(FUTURE_NS);
-        let is_finite = self.twist.iter().all(|v| v.is_finite());
-        match now_ns < self.in_force_until_ns() && is_finite && !is_from_future {
+        match self.is_in_force(now_ns) {
             true => self.twist,
             false => [0.0; 6],
+        }
+    }
+
+    fn is_in_force(&self, now_ns: u64) -> bool {
+        let is_from_future = self.stamp.published_ns > now_ns.saturating_add(FUTURE_NS);
+        let is_finite = self.twist.iter().chain([&self.elbow]).all(|v| v.is_finite());
+        now_ns < self.in_force_until_ns() && is_finite && !is_from_future
+    }
+
+    /// As [`TwistCommand::in_force`], of the elbow, rad/s.
+    pub fn elbow_in_force(&self, now_ns: u64) -> f64 {
+        match self.is_in_force(now_ns) {
+            true => self.elbow,
+            false => 0.0,
         }
     }
 

@@ -50,6 +50,11 @@ struct Tables {
     #[serde(default = "strain")]
     #[schemars(range(min = 0.05, max = 1))]
     strain: f64,
+    /// What joint 3 of seven, the elbow, does: it is held where it is, or turns away from the ends
+    /// of the joints' ranges and from singular postures, if the robot's bridge obeys that part of
+    /// the command.
+    #[serde(default)]
+    elbow: Elbow,
     /// Position of each joint where the camera sees the goal, if the object is always at the same
     /// place: starts of a memory are then drawn within the arm's reach.
     #[serde(default)]
@@ -69,6 +74,17 @@ struct Tables {
     #[serde(default)]
     #[schemars(length(max = MAX_WALL_POINTS), inner(inner(range(min = -2, max = 2))), extend("x-unit" = "m"))]
     points: Vec<[f64; 3]>,
+}
+
+/// What the elbow does.
+#[derive(Clone, Copy, Default, PartialEq, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+enum Elbow {
+    /// It stays where it is.
+    #[default]
+    Held,
+    /// It turns.
+    Free,
 }
 
 /// The camera (x right, y down, z forward) in the frame of the tip.
@@ -194,6 +210,7 @@ impl Checker {
             margin: tables.margin,
             speed: tables.speed,
             strain: tables.strain,
+            is_elbow_free: tables.elbow == Elbow::Free,
             goal: heapless::Vec::new(),
             joint_names: heapless::Vec::new(),
             walls: heapless::Vec::new(),

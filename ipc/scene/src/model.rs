@@ -73,6 +73,9 @@ pub struct Arm {
     pub speed: f64,
     /// Greatest share of a joint's acceleration that the end effector's may take, 0 to 1.
     pub strain: f64,
+    /// Whether joint 3 of seven, the elbow, turns away from the ends of the joints' ranges; else it
+    /// is held.
+    pub is_elbow_free: bool,
     /// Joint positions at which the camera sees the goal, rad; empty where they are not known.
     pub goal: Vec<f64, MAX_JOINTS>,
     /// Names of the joints in the URDF; empty where one is longer than a [`Name`].

@@ -48,7 +48,7 @@ impl Reach {
         let mut q = self.goal;
         for left in (1..=STEPS).rev() {
             let step = self.to(&q, &wanted).map(|x| x / f64::from(left));
-            q = self.arm.moved(&q, &step, 1.0);
+            q = self.arm.moved(&q, &step, 0.0, 1.0);
             let dampers = Dampers::at(&self.arm, &q, &self.accelerations, self.period_s);
             // Where nothing is left, nothing is allowed.
             if dampers.bounds.iter().any(|bound| bound.most <= 0.0) {

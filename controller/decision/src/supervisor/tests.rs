@@ -7,6 +7,7 @@ const PERIOD: u64 = 33 * MS;
 const FAST: [f64; 6] = [0.1, 0.0, 0.05, 0.0, 0.2, 0.0];
 const GOOD: Decision = Decision {
     twist: FAST,
+    elbow: 0.0,
     state: TwistState::Moving,
     hold: None,
 };

@@ -26,6 +26,7 @@ fn a_late_command_is_not_executed() {
     let late = Command {
         id: old,
         motion: Motion::Cartesian(Twist::zeros()),
+        elbow: None,
         finished: false,
     };
     let after = *robot.step(&[late]);

@@ -19,6 +19,7 @@ fn joint_motion(mut robot: Robot, velocity: impl Fn(u64) -> Joints) -> Errors {
         let command = Command {
             id: robot.state().id,
             motion: Motion::Joint(velocity(tick)),
+            elbow: None,
             finished: false,
         };
         if robot.step(&[command]).robot_mode == Mode::Reflex {

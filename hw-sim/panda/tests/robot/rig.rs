@@ -32,6 +32,7 @@ pub fn answer(robot: &mut Robot, twist: Twist) -> State {
     let command = Command {
         id: robot.state().id,
         motion: Motion::Cartesian(twist),
+        elbow: None,
         finished: false,
     };
     *robot.step(&[command])

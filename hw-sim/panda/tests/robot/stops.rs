@@ -17,6 +17,7 @@ fn finish(robot: &mut Robot) {
     let last = Command {
         id: robot.state().id,
         motion: Motion::Cartesian(robot.state().o_dp_ee_c),
+        elbow: None,
         finished: true,
     };
     robot.step(&[last]);

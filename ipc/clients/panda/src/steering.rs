@@ -102,6 +102,7 @@ impl Steering {
             shaped: Echo::default(),
             before: Twist::zeros(),
             ik,
+            elbow: 0.0,
             output: Output::still(interface),
         };
         Ok(Self(Bridge::new(driver, mount, ShaperSettings::default())?))
@@ -118,6 +119,7 @@ impl Steering {
         bridge.driver.measured = *measured;
         let (caps, until_ns) = (bridge.driver.bounds.caps, command.in_force_until_ns());
         bridge.obey(&command.in_force(now_ns), until_ns, &caps);
+        bridge.turn_elbow(command.elbow_in_force(now_ns));
         bridge.step(now_ns);
         bridge.driver.output
     }
@@ -148,6 +150,8 @@ struct Franka {
     /// The twist before that.
     before: Twist,
     ik: VelocityIk,
+    /// The velocity of the elbow that is commanded, rad/s.
+    elbow: f64,
     /// The answer to the newest state; of the same kind in all of the motion.
     output: Output,
 }
@@ -167,6 +171,10 @@ impl Driver for Franka {
             workspace: self.walls(twist),
             ..reserve.room(&chain, self.limits, &shaper, q, twist)
         }
+    }
+
+    fn turn_elbow(&mut self, elbow: f64) {
+        self.elbow = elbow;
     }
 
     fn command(&mut self, twist: &Twist) {
@@ -217,9 +225,10 @@ impl Franka {
     /// bounds.
     fn joints(&mut self, twist: &Twist) -> Joints {
         let desired = self.measured.desired;
-        // An arm that stands moves no elbow, either.
-        let is_standing = twist.amax() < AT_REST;
-        let wanted = self.ik.step(&desired, twist, !is_standing);
+        // An arm that stands moves no elbow, either, unless it is told to.
+        let is_moving = twist.amax() >= AT_REST || self.elbow != 0.0;
+        let elbow = is_moving.then_some(self.elbow);
+        let wanted = self.ik.step(&desired, twist, elbow);
         // With the elbow's part.
         let wanted = wanted * self.bounds.reserve.share(self.limits, &desired.q, &wanted);
         let towards = |target: &Joints| {

@@ -122,6 +122,7 @@ impl Bench {
                 Output::Joint(dq) => Motion::Joint(dq),
                 Output::Cartesian(twist) => Motion::Cartesian(twist),
             },
+            elbow: None,
             finished: false,
         };
         self.robot.step(if lost {

@@ -1,0 +1,62 @@
+//! The rule by which joint 3, the elbow, of an arm with seven joints turns while the camera goes
+//! its own way: away from the ends of the joints' ranges, and from singular postures.
+//!
+//! | Symbol | Here | Meaning |
+//! |---|---|---|
+//! | s | [`free`](crate::ik::free) | joint velocities as the elbow turns at 1 rad/s and the camera stands |
+//! | w | [`rate`] | velocity of the elbow, rad/s |
+//! | c_k | `crowding` | how near joint k is to an end of its range, 0 to 1, signed away from it |
+//! | e | `strain` | nearness to a singular posture |
+//!
+//! w = s . (sum_k c_k^2 - E grad e), no faster than [`FASTEST`].
+//!
+//! Source: A. Liegeois, "Automatic supervisory control of the configuration and behavior of
+//! multibody mechanisms", IEEE SMC 7(12), 1977.
+
+use nalgebra::RowSVector;
+
+use crate::kinematics::{JOINTS, Joints};
+use crate::limits::Limits;
+
+/// Part of a joint's range, at each of its ends, that the elbow leaves if it can.
+const ZONE: f64 = 0.25;
+/// Velocity that an end asks for in its margin, rad/s.
+const PUSH: f64 = 0.5;
+/// The greatest velocity of the elbow, rad/s: a small share of any joint's.
+pub const FASTEST: f64 = 0.3;
+/// Strain from which the elbow evades a singular posture.
+const STRAINED: f64 = 0.4;
+/// Velocity that a unit of strain above this asks for per unit of its gradient, rad/s.
+const EASE: f64 = 0.5;
+
+/// The velocity of the elbow, rad/s, along its free direction, with the strain and its gradient.
+pub(crate) fn rate(
+    limits: &Limits,
+    margin: f64,
+    q: &Joints,
+    free: &Joints,
+    strain: f64,
+    gradient: &RowSVector<f64, JOINTS>,
+) -> f64 {
+    let length = free.norm();
+    if length < 1e-9 {
+        return 0.0;
+    }
+    let along = free / length;
+    let away = Joints::from_fn(|k, _| crowding(limits, margin, q, k));
+    let excess = (strain - STRAINED).max(0.0).min(1.0);
+    let wanted = PUSH * along.dot(&away) - EASE * excess * (gradient * along)[0].clamp(-1.0, 1.0);
+    (wanted / length).clamp(-FASTEST, FASTEST)
+}
+
+/// How near a joint is to an end of its range, squared, signed away from it; zero but in the
+/// [`ZONE`].
+fn crowding(limits: &Limits, margin: f64, q: &Joints, k: usize) -> f64 {
+    let room = limits.0[k].room(q[k]);
+    let zone = ZONE * (room[0] + room[1] - 2.0 * margin);
+    if !zone.is_finite() || zone <= 0.0 {
+        return 0.0;
+    }
+    let near = room.map(|room| (1.0 - (room - margin) / zone).clamp(0.0, 1.0));
+    near[0] * near[0] - near[1] * near[1]
+}
