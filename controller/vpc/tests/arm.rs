@@ -102,6 +102,7 @@ fn whatever_the_law_is_shown_no_command_leads_a_joint_out_of_its_range() {
                 continue;
             };
             law.sent(&step.twist, now_ns);
+            law.sent_elbow(step.elbow);
             if k % 8 == 0 {
                 law.think(None);
             }
@@ -187,6 +188,7 @@ fn arrives(
             return true;
         }
         law.sent(&step.twist, now_ns);
+        law.sent_elbow(step.elbow);
         law.think(None);
         let dampers = arm::Dampers::at(&bridge, &q, &acceleration, 0.033);
         let share = dampers.share(&step.twist);
@@ -312,6 +314,7 @@ fn near_a_goal_behind_a_wall_it_stands_and_tells_the_wall() {
         let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
         let step = law.step(&measured, None).unwrap();
         law.sent(&step.twist, now_ns);
+        law.sent_elbow(step.elbow);
         law.think(None);
         q = arm.moved(&q, &step.twist, step.elbow, 1.0 / 30.0);
         lowest = lowest.min(arm.chain.pose(&q).translation.z);
@@ -341,6 +344,7 @@ fn without_an_arm_joints_change_nothing() {
         let [a, b] = laws.each_mut().map(|law| {
             let step = law.step(&measured, None).unwrap();
             law.sent(&step.twist, now_ns);
+            law.sent_elbow(step.elbow);
             law.think(None);
             step
         });

@@ -91,6 +91,7 @@ impl Driver for Robot {
         self.0.step(&[Command {
             id,
             motion,
+            elbow: None,
             finished,
         }]);
     }

@@ -311,6 +311,10 @@ mod tests {
         assert_eq!((command.message_id, command.dq_c[0]), (7, 0.25));
         assert_eq!(command.o_dp_ee_c[0], 0.5);
         assert!(command.is_last && command.elbow_c.is_none());
+        bytes[296..304].copy_from_slice(&0.75_f64.to_le_bytes());
+        bytes[312] = 1;
+        let command = Version::V5.table().read_command(&bytes).unwrap();
+        assert_eq!(command.elbow_c, Some(0.75));
     }
 
     #[test]

@@ -250,6 +250,21 @@ mod tests {
     }
 
     #[test]
+    fn the_elbow_goes_where_it_is_told_while_the_end_effector_stands() {
+        let chain = Chain::default();
+        let mut desired = Setpoint::at_rest(Joints::from(READY));
+        let mut ik = VelocityIk::new(chain, LIMITS, &desired.q);
+        let reference = chain.pose(&desired.q);
+        for tick in 1..=3000 {
+            ik.turn_elbow(0.2 * (f64::from(tick) * PERIOD).min(2.0));
+            desired = desired.after(&ik.step(&desired, &Twist::zeros(), &reference));
+        }
+        // It nears the end of its way slowly.
+        assert!((desired.q[2] - 0.4).abs() < 0.05, "{}", desired.q[2]);
+        assert!(difference(&reference, &chain.pose(&desired.q)).norm() < 1e-8);
+    }
+
+    #[test]
     fn a_joint_near_its_limit_is_pushed_back_in_the_null_space() {
         let mut q = READY;
         q[6] = LIMITS.joints[6].upper - 0.05;

@@ -112,8 +112,7 @@ impl Interface {
     /// several good ones the first counts. Numbers that are not finite and motions of another kind
     /// are dropped, where libfranka would not have let them out.
     pub fn receive(&mut self, expected: u64, arrived: &[Command]) -> Reception {
-        let good =
-            |c: &&Command| c.id == expected && c.motion.kind() == self.kind && c.is_finite();
+        let good = |c: &&Command| c.id == expected && c.motion.kind() == self.kind && c.is_finite();
         let accepted = arrived.iter().find(good).copied();
         self.history = self.history << 1 | u128::from(accepted.is_some());
         self.received = (self.received + 1).min(WINDOW);

@@ -1,7 +1,9 @@
 //! The emulator's own bridge, a driver of the core that real bridges have. Nothing
 //! else of the emulator may use the crate `arm`.
 
-use arm::{Chain, Driver, Echo, Limits, Measured, Mount, PERIOD, Ramp, Reserve, Room, ShaperSettings};
+use arm::{
+    Chain, Driver, Echo, Limits, Measured, Mount, PERIOD, Ramp, Reserve, Room, ShaperSettings,
+};
 use panda::{Command, Model, Motion, Pose, Robot, Twist};
 use scene::Scene;
 

@@ -40,6 +40,7 @@ fn law() -> (Arm, Joints) {
         margin: 0.2,
         speed: 0.25,
         strain: 0.6,
+        is_elbow_free: true,
         walls: Default::default(),
         points: Default::default(),
     };

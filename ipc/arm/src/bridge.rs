@@ -172,7 +172,11 @@ impl<D: Driver> Bridge<D> {
     /// at most [`FASTEST`]; zero where it is not finite.
     pub fn turn_elbow(&mut self, elbow: f64) {
         let is_finite = elbow.is_finite();
-        self.elbow = if is_finite { elbow.clamp(-FASTEST, FASTEST) } else { 0.0 };
+        self.elbow = if is_finite {
+            elbow.clamp(-FASTEST, FASTEST)
+        } else {
+            0.0
+        };
     }
 
     /// One of the robot's milliseconds: answers its state.
@@ -194,7 +198,11 @@ impl<D: Driver> Bridge<D> {
         let share = room.workspace.min(room.joints);
         self.shaper.aim(&(wanted * share), self.until_ns);
         let twist = self.shaper.step_with(&measured.echo, room.ramps, now_ns);
-        let elbow = if self.is_stale(now_ns) { 0.0 } else { self.elbow };
+        let elbow = if self.is_stale(now_ns) {
+            0.0
+        } else {
+            self.elbow
+        };
         self.driver.turn_elbow(elbow);
         self.driver.command(&twist);
     }

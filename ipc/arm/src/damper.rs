@@ -351,14 +351,17 @@ mod tests {
 
     #[test]
     fn joint_velocities_and_walls_are_those_of_the_moved_arm() {
-        let (arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(1));
-        for _ in 0..50 {
+        let (mut arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(1));
+        for round in 0..50 {
+            arm.is_elbow_free = round % 2 == 0;
             let q = posture(&mut random);
             let twist: [f64; 6] = core::array::from_fn(|_| random.random_range(-0.1..0.1));
             let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, 0.0);
             let dq = dampers.joints(&twist);
             let h = 1e-6;
-            let moved = (arm.moved(&q, &twist, dampers.elbow, h) - arm.moved(&q, &twist, dampers.elbow, -h)) / (2.0 * h);
+            let moved = (arm.moved(&q, &twist, dampers.elbow, h)
+                - arm.moved(&q, &twist, dampers.elbow, -h))
+                / (2.0 * h);
             assert!((moved - dq).norm() < 1e-8);
             let height = |q: &Joints| {
                 let camera = arm.chain.pose(q);
@@ -397,10 +400,11 @@ mod tests {
 
     #[test]
     fn a_motion_within_all_bounds_leaves_no_range() {
-        let (arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(3));
+        let (mut arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(3));
         let period = 1.0 / 30.0;
         let mut nearest = f64::INFINITY;
-        for _ in 0..40 {
+        for round in 0..80 {
+            arm.is_elbow_free = round % 2 == 0;
             let mut q = posture(&mut random);
             let wanted: [f64; 6] = core::array::from_fn(|k| {
                 random.random_range(-1.0..1.0) * if k < 3 { 0.3 } else { 1.0 }
@@ -419,6 +423,46 @@ mod tests {
             nearest > 0.99 * arm.margin && nearest < 1.1 * arm.margin,
             "{nearest}"
         );
+    }
+
+    #[test]
+    fn a_free_elbow_leaves_the_camera_where_it_is_and_makes_room() {
+        let mut arm = arm();
+        arm.is_elbow_free = true;
+        let limits = arm.limits;
+        let crowded = |q: &Joints| {
+            let room = |k: usize| {
+                limits.0[k]
+                    .room(q[k])
+                    .into_iter()
+                    .fold(f64::INFINITY, f64::min)
+            };
+            (0..JOINTS).map(room).fold(f64::INFINITY, f64::min)
+        };
+        let strained = |q: &Joints| Strain::at(&arm, q, &ACCELERATIONS).shares.max();
+        // Joint 7 near its end; the wrist near its singular posture.
+        for (joint, at) in [(6, 2.6), (5, 0.4)] {
+            let mut q = Joints::from(READY);
+            (q[1], q[2], q[joint]) = (0.2, 0.4, at);
+            let camera = arm.chain.pose(&q);
+            let (before, strain) = (crowded(&q), strained(&q));
+            for _ in 0..900 {
+                let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, 1.0 / 30.0);
+                assert!(dampers.elbow.abs() <= elbow::FASTEST);
+                q = arm.moved(&q, &[0.0; 6], dampers.elbow, 1.0 / 30.0);
+            }
+            let apart = camera.translation.vector - arm.chain.pose(&q).translation.vector;
+            assert!(apart.norm() < 1e-4, "{apart}");
+            match joint {
+                6 => assert!(crowded(&q) > before + 0.1, "{}", crowded(&q)),
+                _ => assert!(strained(&q) < 0.99 * strain, "{}", strained(&q)),
+            }
+        }
+        // A held one stands.
+        arm.is_elbow_free = false;
+        let dampers = Dampers::at(&arm, &Joints::from(READY), &ACCELERATIONS, 1.0 / 30.0);
+        assert_eq!(dampers.elbow, 0.0);
+        assert_eq!(dampers.joints(&[0.0; 6]), Joints::zeros());
     }
 
     #[test]

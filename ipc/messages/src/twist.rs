@@ -123,7 +123,11 @@ impl TwistCommand {
 
     fn is_in_force(&self, now_ns: u64) -> bool {
         let is_from_future = self.stamp.published_ns > now_ns.saturating_add(FUTURE_NS);
-        let is_finite = self.twist.iter().chain([&self.elbow]).all(|v| v.is_finite());
+        let is_finite = self
+            .twist
+            .iter()
+            .chain([&self.elbow])
+            .all(|v| v.is_finite());
         now_ns < self.in_force_until_ns() && is_finite && !is_from_future
     }
 
@@ -176,6 +180,18 @@ mod tests {
         broken[4] = f64::NAN;
         assert_eq!(command(SENT + 10, broken).in_force(SENT), still);
         assert_eq!(TwistCommand::default().in_force(0), still);
+        // The elbow of an arm stops with its camera.
+        let turns = short.with_elbow(0.2);
+        assert_eq!(
+            (
+                turns.elbow_in_force(SENT + 9),
+                turns.elbow_in_force(SENT + 10)
+            ),
+            (0.2, 0.0)
+        );
+        let broken = short.with_elbow(f64::NAN);
+        assert_eq!(broken.in_force(SENT + 9), still);
+        assert_eq!(broken.elbow_in_force(SENT + 9), 0.0);
     }
 
     #[test]

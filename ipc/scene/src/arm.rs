@@ -238,6 +238,10 @@ impl Checker {
                 )?]);
             }
         }
+        if tables.elbow == Elbow::Free && count < MAX_JOINTS {
+            let allowed = format!("held: an arm with {count} joints has no free elbow");
+            return Err(self.document.refuse("elbow", "free", &allowed));
+        }
         arm.goal = self.goal(&tables.goal, &arm)?;
         let Mounting {
             translation,

@@ -31,6 +31,7 @@ fn the_shipped_files_describe_a_panda_and_a_research_3_with_their_camera() {
         let arm = arm.replace("fr3.urdf", "panda.urdf");
         let arm = read(&arm, urdf).unwrap().arm.unwrap();
         assert_eq!((arm.joints.len(), arm.joints[0].range), (7, [-end, end]));
+        assert!(arm.is_elbow_free);
         assert_eq!(arm.joints[1].acceleration, acceleration);
         // Straight up with its hand forward and down; the camera 4 cm before the flange, 7 cm
         // aside.
@@ -45,6 +46,15 @@ fn the_shipped_files_describe_a_panda_and_a_research_3_with_their_camera() {
         let apart = [last.axis[2] + 1.0, last.point[0] - 0.088, last.point[1]];
         assert!(apart.iter().all(|apart| apart.abs() < 1e-12), "{last:?}");
     }
+}
+
+#[test]
+fn an_arm_with_six_joints_has_no_free_elbow() {
+    let six = ARM.replace("panda_link8", "panda_link6");
+    let six = six.replace("15.0, 7.5", "7.5");
+    let error = refused(&six, PANDA);
+    assert!(error.contains("elbow = free"), "{error}");
+    assert!(error.contains("held: an arm with 6 joints"), "{error}");
 }
 
 #[test]
@@ -98,7 +108,11 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
             arm("15.0, 7.5,", "15.0,"),
             vec!["acceleration = a list of 6", "a list of 7"],
         ),
-        (arm("acceleration", "# "), vec!["acceleration"]),
+        (arm("\nacceleration", "\n# "), vec!["acceleration"]),
+        (
+            arm("elbow = \"free\"", "elbow = \"up\""),
+            vec!["cell/a.toml: elbow = up; allowed: held, free"],
+        ),
         (
             arm("[camera]", "goal = [0.0, 0.0]\n[camera]"),
             vec!["goal = a list of 2", "a list of 7"],

@@ -383,6 +383,9 @@ typedef struct {
     // Camera velocity in the camera frame (x right, y down, z forward): vx vy vz wx wy wz, within
     // the scene's limits. Unit: m/s, rad/s.
     double twist[6];
+    // Velocity of joint 3 of an arm with seven joints, the elbow, beside that motion; 0: the elbow
+    // is held. Unit: rad/s.
+    double elbow;
 } vpc_twist_command;
 
 // State of the robot that carries the camera, at the instant `stamp.data_ns`. Service `vpc/robot`.
@@ -540,6 +543,8 @@ typedef struct {
     uint32_t arm_bound;
     // Index of that joint, base to flange, or of that wall, from 0.
     uint32_t arm_bound_index;
+    // Velocity of the arm's elbow that was sent. Unit: rad/s.
+    double elbow;
 } vpc_cycle_record;
 
 // All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
@@ -900,7 +905,7 @@ static_assert(offsetof(vpc_features, exposure_ns) == 24, "vpc_features.exposure_
 static_assert(offsetof(vpc_features, count) == 32, "vpc_features.count");
 static_assert(offsetof(vpc_features, visible) == 36, "vpc_features.visible");
 static_assert(offsetof(vpc_features, points) == 40, "vpc_features.points");
-static_assert(sizeof(vpc_twist_command) == 104, "vpc_twist_command");
+static_assert(sizeof(vpc_twist_command) == 112, "vpc_twist_command");
 static_assert(offsetof(vpc_twist_command, stamp) == 0, "vpc_twist_command.stamp");
 static_assert(offsetof(vpc_twist_command, features_sequence) == 24, "vpc_twist_command.features_sequence");
 static_assert(offsetof(vpc_twist_command, features_published_ns) == 32, "vpc_twist_command.features_published_ns");
@@ -908,6 +913,7 @@ static_assert(offsetof(vpc_twist_command, valid_until_ns) == 40, "vpc_twist_comm
 static_assert(offsetof(vpc_twist_command, state) == 48, "vpc_twist_command.state");
 static_assert(offsetof(vpc_twist_command, reserved) == 52, "vpc_twist_command.reserved");
 static_assert(offsetof(vpc_twist_command, twist) == 56, "vpc_twist_command.twist");
+static_assert(offsetof(vpc_twist_command, elbow) == 104, "vpc_twist_command.elbow");
 static_assert(sizeof(vpc_robot_state) == 264, "vpc_robot_state");
 static_assert(offsetof(vpc_robot_state, stamp) == 0, "vpc_robot_state.stamp");
 static_assert(offsetof(vpc_robot_state, features_sequence) == 24, "vpc_robot_state.features_sequence");
@@ -921,7 +927,7 @@ static_assert(offsetof(vpc_robot_state, reserved) == 140, "vpc_robot_state.reser
 static_assert(offsetof(vpc_robot_state, q) == 144, "vpc_robot_state.q");
 static_assert(offsetof(vpc_robot_state, dq) == 200, "vpc_robot_state.dq");
 static_assert(offsetof(vpc_robot_state, commands_in_time) == 256, "vpc_robot_state.commands_in_time");
-static_assert(sizeof(vpc_cycle_record) == 1904, "vpc_cycle_record");
+static_assert(sizeof(vpc_cycle_record) == 1912, "vpc_cycle_record");
 static_assert(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
 static_assert(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");
 static_assert(offsetof(vpc_cycle_record, clock) == 32, "vpc_cycle_record.clock");
@@ -981,6 +987,7 @@ static_assert(offsetof(vpc_cycle_record, visible) == 1888, "vpc_cycle_record.vis
 static_assert(offsetof(vpc_cycle_record, predicted) == 1892, "vpc_cycle_record.predicted");
 static_assert(offsetof(vpc_cycle_record, arm_bound) == 1896, "vpc_cycle_record.arm_bound");
 static_assert(offsetof(vpc_cycle_record, arm_bound_index) == 1900, "vpc_cycle_record.arm_bound_index");
+static_assert(offsetof(vpc_cycle_record, elbow) == 1904, "vpc_cycle_record.elbow");
 static_assert(sizeof(vpc_snapshot) == 32808, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");

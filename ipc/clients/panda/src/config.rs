@@ -199,6 +199,10 @@ impl Config {
         if let Some(arm) = &scene.arm {
             let reserve = (keys.joint_margin, keys.joint_speed);
             agrees(document, arm, &hand_eye, reserve, &file)?;
+            if arm.is_elbow_free && keys.interface == Interface::Cartesian {
+                let allowed = "joint: the elbow of the scene's arm is free";
+                return Err(document.refuse("interface", "cartesian", allowed));
+            }
         }
         Ok(Self {
             model,

@@ -408,6 +408,9 @@ class TwistCommand(Message):
         # Camera velocity in the camera frame (x right, y down, z forward): vx vy vz wx wy wz,
         # within the scene's limits. Unit: m/s, rad/s.
         ("twist", ctypes.c_double * 6),
+        # Velocity of joint 3 of an arm with seven joints, the elbow, beside that motion; 0: the
+        # elbow is held. Unit: rad/s.
+        ("elbow", ctypes.c_double),
     ]
 
     if TYPE_CHECKING:
@@ -418,10 +421,11 @@ class TwistCommand(Message):
         state: int
         reserved: int
         twist: ctypes.Array[ctypes.c_double]
+        elbow: float
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/TwistCommand/d46511cc"
+        return "vpc/TwistCommand/40cd1233"
 
 
 class RobotState(Message):
@@ -604,6 +608,8 @@ class CycleRecord(Message):
         ("arm_bound", ctypes.c_uint32),
         # Index of that joint, base to flange, or of that wall, from 0.
         ("arm_bound_index", ctypes.c_uint32),
+        # Velocity of the arm's elbow that was sent. Unit: rad/s.
+        ("elbow", ctypes.c_double),
     ]
 
     if TYPE_CHECKING:
@@ -666,10 +672,11 @@ class CycleRecord(Message):
         predicted: int
         arm_bound: int
         arm_bound_index: int
+        elbow: float
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/5efd467a"
+        return "vpc/CycleRecord/81e92fd8"
 
 
 class Snapshot(Message):
@@ -828,6 +835,7 @@ CHECKS: dict[type, dict[str, Any]] = {
     TwistCommand: {
         "state": TwistState,
         "twist": "",
+        "elbow": "",
     },
     RobotState: {
         "mode": RobotMode,
@@ -857,6 +865,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "features_input": InputCode,
         "robot_input": InputCode,
         "arm_bound": ArmBound,
+        "elbow": "",
     },
     Snapshot: {
         "length": (0, 32768),

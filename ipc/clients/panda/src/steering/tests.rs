@@ -225,9 +225,35 @@ fn the_camera_moves_as_commanded() {
 }
 
 #[test]
+fn the_elbow_turns_as_commanded_while_the_camera_stands() {
+    for model in [Model::Panda, Model::Fr3] {
+        let mut bench = Bench::new(Interface::Joint, model, BOUNDS);
+        let (camera, elbow) = (bench.robot.state().o_t_ee_d, bench.robot.state().q_d[2]);
+        bench.command.elbow = 0.1;
+        for _ in 0..2000 {
+            bench.aim([0.0; 6]);
+            bench.step(false);
+        }
+        let state = bench.robot.state();
+        let turned = state.q_d[2] - elbow;
+        assert!((0.17..0.2).contains(&turned), "{model}: {turned}");
+        let apart = camera.translation.vector - state.o_t_ee_d.translation.vector;
+        assert!(apart.norm() < 1e-4, "{model}: {apart}");
+        // It stays there.
+        bench.command.elbow = 0.0;
+        for _ in 0..1000 {
+            bench.aim([0.0, 0.01, 0.0, 0.0, 0.0, 0.0]);
+            bench.step(false);
+        }
+        assert!((bench.robot.state().q_d[2] - elbow - turned).abs() < 0.02);
+    }
+}
+
+#[test]
 fn a_command_that_ends_stops_arm_and_elbow_within_the_ramp() {
     for (interface, model) in ALL {
         let mut bench = Bench::new(interface, model, BOUNDS);
+        bench.command.elbow = 0.2;
         for _ in 0..500 {
             bench.aim([0.05, 0.05, 0.0, 0.1, 0.0, 0.2]);
             bench.step(false);
