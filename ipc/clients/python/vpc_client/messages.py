@@ -688,12 +688,12 @@ class Snapshot(Message):
         ("stamp", Stamp),
         # The cycle that follows.
         ("cycle", ctypes.c_uint64),
-        # Bytes in `state`. 0 to 32768.
+        # Bytes in `state`. 0 to 36864.
         ("length", ctypes.c_uint32),
         # Version of the encoding of `state`.
         ("version", ctypes.c_uint32),
         # The state, encoded by the controller; zero past `length`.
-        ("state", ctypes.c_uint8 * 32768),
+        ("state", ctypes.c_uint8 * 36864),
     ]
 
     if TYPE_CHECKING:
@@ -705,7 +705,7 @@ class Snapshot(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Snapshot/a8e2ce6b"
+        return "vpc/Snapshot/587d3a7b"
 
 
 class Request(Message):
@@ -868,7 +868,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "elbow": "",
     },
     Snapshot: {
-        "length": (0, 32768),
+        "length": (0, 36864),
     },
     Request: {
         "action": Action,
