@@ -42,6 +42,7 @@ fn law() -> (Arm, Joints) {
         strain: 0.6,
         walls: Default::default(),
         points: Default::default(),
+        shapes: Default::default(),
     };
     (arm, Joints::from(arm::READY))
 }

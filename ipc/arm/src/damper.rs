@@ -1,5 +1,5 @@
 //! Velocity dampers: the bounds on the camera's velocity by which an arm keeps within its ranges,
-//! speeds and walls, and off its singular postures.
+//! speeds and walls, off its singular postures, and its links off each other and off boxes.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
@@ -20,6 +20,7 @@
 
 use nalgebra::{Matrix6, RowSVector, SMatrix, SVector, Vector3};
 
+use crate::collision::{MAX_ROWS, Pair};
 use crate::description::{Arm, MAX_POINTS, MAX_WALLS};
 use crate::ik::{Inverse, held, inverse, square};
 use crate::kinematics::{JOINTS, Jacobian, Joints, Pose, Twist};
@@ -39,7 +40,9 @@ const RIVAL: f64 = 0.8;
 const RATE: f64 = 2.0;
 
 /// Most bounds of an arm.
-pub const MAX_BOUNDS: usize = 3 * JOINTS + MAX_WALLS * MAX_POINTS;
+pub const MAX_BOUNDS: usize = WITHOUT_SHAPES + MAX_ROWS;
+/// Most bounds of an arm whose links have no shapes.
+pub const WITHOUT_SHAPES: usize = 3 * JOINTS + MAX_WALLS * MAX_POINTS;
 
 /// What bounds a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,8 +53,10 @@ pub enum Cause {
     Speed(usize),
     /// A singular posture.
     Singularity,
-    /// The wall of this index.
+    /// The wall of this index, for the camera or a point beside it.
     Wall(usize),
+    /// A link, and what it is near.
+    Near(Pair),
 }
 
 /// A bound on the camera's velocity: `gradient` times it is at most `most`.
@@ -59,8 +64,8 @@ pub enum Cause {
 pub struct Bound {
     /// g, for a velocity along camera axes.
     pub gradient: [f64; 6],
-    /// b, at least 0; rad/s of a joint that turns, m/s of one that slides and of a wall, 1/s of a
-    /// singularity.
+    /// b, at least 0; rad/s of a joint that turns, m/s of one that slides, of a wall and of a
+    /// pair, 1/s of a singularity.
     pub most: f64,
     /// What bounds.
     pub cause: Cause,
@@ -140,6 +145,14 @@ impl Dampers {
                 let gradient = [turned.x, turned.y, turned.z, moment.x, moment.y, moment.z];
                 add(gradient.map(|g| -g), damped(left), Cause::Wall(i));
             }
+        }
+        for row in arm.rows_of_pairs(q, &camera, &jacobian) {
+            let gradient: [f64; 6] = (row.gradient * map).transpose().into();
+            add(
+                gradient.map(|g| -g),
+                damped(row.left),
+                Cause::Near(row.pair),
+            );
         }
         Self { map, ramps, bounds }
     }
@@ -301,6 +314,7 @@ mod tests {
             strain: 0.6,
             walls: [wall].into_iter().collect(),
             points: [[0.0; 3], [0.0, 0.0, 0.1]].into_iter().collect(),
+            shapes: Default::default(),
         }
     }
 
