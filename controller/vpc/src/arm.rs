@@ -4,7 +4,8 @@
 //! The joints q are a part of the state; each step of a future moves them by the bridges' own
 //! mapping. A row is a velocity damper ([`::arm::damper`]) on each free command: what is left
 //! of a joint's range, of its speed, of the way to a wall, a singular posture, or of a link to what
-//! it is near. So a simulated future goes no farther than the arm does, and one that would have to does not arrive.
+//! it is near. So a simulated future goes no farther than the arm does, and one that would have to
+//! does not arrive.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|

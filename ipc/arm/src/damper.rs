@@ -5,7 +5,7 @@
 //! |---|---|---|
 //! | v | | the camera's velocity along camera axes, m/s and rad/s |
 //! | dq = M v | [`Dampers::joints`] | velocities of the joints, the elbow held |
-//! | h(q) | | what is left: to the end of a range, to a wall, of the acceleration; negative beyond |
+//! | h(q) | | what is left: to the end of a range, to what is near, of the acceleration |
 //! | g v <= b | [`Bound`] | -dh/dt is no greater than what is left allows |
 //!
 //! Every b is at least 0, so that standing still is always allowed, and with a twist each shorter

@@ -202,8 +202,8 @@ pub struct Bound<'a> {
 const INDICES: usize = 256;
 
 impl<'a> Bound<'a> {
-    /// The field `arm_bound_index`, of a joint, wall, box or other link's shape and the link's shape
-    /// near it.
+    /// The field `arm_bound_index`, of a joint, wall, box or other link's shape, and of the link's
+    /// shape near it.
     pub fn coded_index(index: usize, link: Option<usize>) -> u32 {
         (index + INDICES * link.map_or(0, |link| link + 1)) as u32
     }
@@ -472,8 +472,8 @@ message! {
         predicted: u32,
         /// What of the arm binds the law's command.
         arm_bound: u32 [code(ArmBound)],
-        /// Index of that joint, base to flange, wall, box or link's shape, from 0; of a link's shape
-        /// that is near it, 256 times its number, from 1, is added.
+        /// Index of that joint, base to flange, wall, box or link's shape, from 0; where a link's
+        /// shape is near it, plus 256 times that shape's number, from 1.
         arm_bound_index: u32,
     }
     // A buffer for recorders: half a minute at 30 Hz, a good part of a second in lockstep.
