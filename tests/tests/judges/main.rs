@@ -53,9 +53,9 @@ fn judged<T: DeserializeOwned>(
     file: &Path,
     postures: &[Vec<f64>],
 ) -> Vec<T> {
-    let mut command = testkit::command(python);
-    let judge = &mut command;
-    judge.arg(root().join("tests/tests/judges").join(judge));
+    let program = root().join("tests/tests/judges").join(judge);
+    let mut judge = testkit::command(python);
+    judge.arg(program);
     judge.arg(file).stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut judge = judge.spawn().unwrap();
     let asked = serde_json::to_vec(postures).unwrap();
