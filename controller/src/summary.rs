@@ -144,7 +144,7 @@ impl Summary {
     fn bound(&self, record: &CycleRecord) -> Option<String> {
         let bound = record.bound()?;
         Some(match &self.arm {
-            Some(arm) => bound.named(&arm.joint_names, &arm.wall_names).to_string(),
+            Some(arm) => bound.named(arm.names()).to_string(),
             None => bound.to_string(),
         })
     }

@@ -103,7 +103,7 @@ fn solved(chain: &Chain, mut q: Joints, wanted: &arm::Pose, is_held: bool) -> Op
     None
 }
 
-/// Whether joints, singular postures and walls are as far away as the law keeps them.
+/// Whether joints, singular postures, walls and links are as far away as the law keeps them.
 fn is_within(arm: &Arm, q: &Joints) -> bool {
     let is_clear = |k: usize| {
         arm.limits.0[k]
@@ -120,7 +120,11 @@ fn is_within(arm: &Arm, q: &Joints) -> bool {
             .iter()
             .all(|wall| wall.distance(&point.coords) >= 0.0)
     };
-    (0..arm.chain.count()).all(is_clear) && strain <= arm.strain && points.into_iter().all(is_free)
+    let mut distances = arm.distances(q);
+    (0..arm.chain.count()).all(is_clear)
+        && strain <= arm.strain
+        && points.into_iter().all(is_free)
+        && distances.all(|(_, distance)| distance >= arm.shapes.clearance)
 }
 
 /// Postures from which the camera sees every point, near an end and near a singular posture in

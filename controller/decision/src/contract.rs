@@ -1,10 +1,10 @@
 //! Conversions between the codes of the contract and the types of the control law.
 
 use messages::{
-    ArmBound, CycleRecord, Features, ForesightCode, Hold, RecallCode, SolverStatus, Stamp,
+    ArmBound, Bound, CycleRecord, Features, ForesightCode, Hold, RecallCode, SolverStatus, Stamp,
     StrategyCode,
 };
-use vpc::arm::Cause;
+use vpc::arm::{Cause, Other, Pair};
 use vpc::foresight::{Foresight, Outcome, PLACES};
 use vpc::guide::Kind;
 use vpc::{Asked, Law, Measurement, Refusal, Status, Step, Strategy};
@@ -113,14 +113,23 @@ pub fn record_step(step: &Step, record: &mut CycleRecord) {
         Asked::Refused => RecallCode::Refused,
     }
     .code();
-    let (bound, index) = match step.cause {
-        None => (0, 0),
-        Some(Cause::Joint(k)) => (ArmBound::Range.code(), k),
-        Some(Cause::Speed(k)) => (ArmBound::Speed.code(), k),
-        Some(Cause::Singularity) => (ArmBound::Singularity.code(), 0),
-        Some(Cause::Wall(i)) => (ArmBound::Wall.code(), i),
+    let (bound, index, link) = match step.cause {
+        None => (None, 0, None),
+        Some(Cause::Joint(k)) => (Some(ArmBound::Range), k, None),
+        Some(Cause::Speed(k)) => (Some(ArmBound::Speed), k, None),
+        Some(Cause::Singularity) => (Some(ArmBound::Singularity), 0, None),
+        Some(Cause::Wall(i)) => (Some(ArmBound::Wall), i, None),
+        Some(Cause::Near(Pair { shape, other })) => {
+            let (bound, index) = match other {
+                Other::Link(i) => (ArmBound::Link, i),
+                Other::Box(i) => (ArmBound::Box, i),
+                Other::Wall(i) => (ArmBound::Wall, i),
+            };
+            (Some(bound), index.into(), Some(shape.into()))
+        }
     };
-    (record.arm_bound, record.arm_bound_index) = (bound, index as u32);
+    record.arm_bound = bound.map_or(0, ArmBound::code);
+    record.arm_bound_index = Bound::coded_index(index, link);
     record.iterations = step.iterations;
     record.qp_iterations = step.qp_iterations;
     record.cost = step.cost;
@@ -185,5 +194,9 @@ mod tests {
         let singular = recorded(Some(Cause::Singularity));
         assert_eq!(singular, at(ArmBound::Singularity, 0));
         assert_eq!(recorded(Some(Cause::Wall(1))), at(ArmBound::Wall, 1));
+        let near = |other| recorded(Some(Cause::Near(Pair { shape: 4, other })));
+        assert_eq!(near(Other::Link(2)), at(ArmBound::Link, 2 + 5 * 256));
+        assert_eq!(near(Other::Box(3)), at(ArmBound::Box, 3 + 5 * 256));
+        assert_eq!(near(Other::Wall(0)), at(ArmBound::Wall, 5 * 256));
     }
 }

@@ -67,8 +67,13 @@ mod tests {
         let mut arm = Scene::parse(&text, path).unwrap().arm.unwrap();
         let q = [0.0, -0.8, 0.0, -3.0718, 0.0, 1.6, 9.0];
         let bound = |kind| {
-            let (index, name) = (3, "");
-            Some(Bound { kind, index, name })
+            Some(Bound {
+                kind,
+                index: 3,
+                name: "",
+                link: None,
+                link_name: "",
+            })
         };
         let drawn = bars(&arm, q, bound(ArmBound::Range), None);
         assert_eq!(

@@ -220,7 +220,7 @@ fn caption(record: &CycleRecord, arm: Option<&Arm>) -> String {
     if let Some(bound) = record.bound() {
         text += ", ";
         text += &match arm {
-            Some(arm) => bound.named(&arm.joint_names, &arm.wall_names).to_string(),
+            Some(arm) => bound.named(arm.names()).to_string(),
             None => bound.to_string(),
         };
     }

@@ -126,7 +126,7 @@ pub fn chain(arm: &scene::Arm) -> Chain {
     Chain::new(&screws.collect::<Vec<_>>(), camera)
 }
 
-/// A scene's arm at these joint positions, up to its camera, and its walls, in the base.
+/// A scene's arm at these joint positions, up to its camera, and its walls and boxes, in the base.
 pub(crate) fn known_arm(
     known: &scene::Arm,
     q: [f64; arm::JOINTS],
@@ -137,8 +137,22 @@ pub(crate) fn known_arm(
     let [first @ .., camera] = places;
     let places = first.into_iter().take(count + 1).chain([camera]);
     let mut arm = drawn(places.map(Into::into).collect(), at);
-    arm.cubes = known.walls.iter().map(wall).collect();
+    let boxes = known.boxes.iter().map(cuboid);
+    arm.cubes = known.walls.iter().map(wall).chain(boxes).collect();
     update([arm])
+}
+
+fn cuboid(known: &scene::Cuboid) -> CubePrimitive {
+    let rows = known.rotation.map(RowVector3::from);
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
+    CubePrimitive {
+        pose: Some(pose(&Isometry3::from_parts(
+            Translation3::from(known.center),
+            UnitQuaternion::from_rotation_matrix(&rotation),
+        ))),
+        size: Some(vector(known.half.map(|half| 2.0 * half))),
+        color: Some(SHADE),
+    }
 }
 
 /// A square of a wall, as near to the base as it gets.

@@ -3,8 +3,9 @@
 //!
 //! The joints q are a part of the state; each step of a future moves them by the bridges' own
 //! mapping. A row is a velocity damper ([`::arm::damper`]) on each free command: what is left
-//! of a joint's range, of its speed, of the way to a wall or to a singular posture. So a simulated
-//! future goes no farther than the arm does, and one that would have to does not arrive.
+//! of a joint's range, of its speed, of the way to a wall, a singular posture, or of a link to what
+//! it is near. So a simulated future goes no farther than the arm does, and one that would have to
+//! does not arrive.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
@@ -13,10 +14,14 @@
 //! | c = P (b - g v) | `clearance_px` | its clearance as the solver has it, px |
 //! | P | `PX` | weight of a damper against a clearance in the image |
 
-pub use ::arm::Cause;
+use ::arm::collision::{MAX_BOXES, MAX_CAPSULES, MAX_PAIRS};
 use ::arm::description::{MAX_POINTS, MAX_WALLS};
-use ::arm::{Arm, Bound, Chain, Dampers, JOINTS, JointLimits, Joints, Limits, Pose, Screw, Wall};
-use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3};
+use ::arm::{
+    Arm, Bound, Capsule, Chain, Cuboid, Dampers, JOINTS, JointLimits, Joints, Limits, Pose, Screw,
+    Shapes, Wall,
+};
+pub use ::arm::{Cause, Other, Pair};
+use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{DOF, Twist};
@@ -38,9 +43,10 @@ pub fn of(scene: &scene::Arm) -> Arm {
         slides: joint.slides,
     });
     let screws: heapless::Vec<Screw, JOINTS> = screws.collect();
-    let rows = scene.rotation.map(RowVector3::from);
-    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
-    let camera = Pose::from_parts(Translation3::from(scene.translation), rotation);
+    let camera = Pose::from_parts(
+        Translation3::from(scene.translation),
+        rotation(&scene.rotation),
+    );
     let mut limits = [JointLimits::NONE; JOINTS];
     for (to, from) in limits.iter_mut().zip(&scene.joints) {
         *to = JointLimits::new(from.range, from.velocity, from.acceleration);
@@ -60,10 +66,46 @@ pub fn of(scene: &scene::Arm) -> Arm {
         is_elbow_free: scene.is_elbow_free,
         walls: walls.collect(),
         points: points.collect(),
+        shapes: shapes(scene),
     }
 }
 
+/// Its links' shapes, what is about it, and which of them keep apart.
+fn shapes(scene: &scene::Arm) -> Shapes {
+    let capsules = scene.shapes.iter().map(|shape| Capsule {
+        ends: shape.ends.map(Vector3::from),
+        radius: shape.radius,
+        joints: shape.joints,
+    });
+    let boxes = scene.boxes.iter().map(|known| Cuboid {
+        center: known.center.into(),
+        rotation: rotation(&known.rotation),
+        half: known.half.into(),
+    });
+    let pairs = scene.pairs.iter().map(|pair| Pair {
+        shape: pair.shape,
+        other: match pair.other {
+            scene::Other::Link(index) => Other::Link(index),
+            scene::Other::Box(index) => Other::Box(index),
+            scene::Other::Wall(index) => Other::Wall(index),
+        },
+    });
+    Shapes {
+        capsules: capsules.collect(),
+        boxes: boxes.collect(),
+        pairs: pairs.collect(),
+        clearance: scene.clearance,
+    }
+}
+
+fn rotation(rows: &[[f64; 3]; 3]) -> Rotation3<f64> {
+    let rows = rows.map(RowVector3::from);
+    Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows))
+}
+
 const _: () = assert!(JOINTS == scene::MAX_JOINTS);
+const _: () = assert!(MAX_CAPSULES == scene::MAX_SHAPES && MAX_BOXES == scene::MAX_BOXES);
+const _: () = assert!(MAX_PAIRS == scene::MAX_PAIRS);
 const _: () = assert!(MAX_WALLS == scene::MAX_WALLS && MAX_POINTS == scene::MAX_WALL_POINTS + 1);
 
 /// Where an arm's joints were. Plain data.

@@ -1,13 +1,13 @@
 //! How large the problems of a solver are.
 
-use ::arm::damper::MAX_BOUNDS;
+use ::arm::damper::{MAX_BOUNDS, WITHOUT_SHAPES};
 
 use crate::constraint::SIDES;
 use crate::intersample::most_stretches;
 use crate::obstacle::Obstacle;
 use crate::qp::MAX_ROWS;
 use crate::task::Task;
-use crate::{MAX_NC, MAX_NP};
+use crate::{MAX_NC, MAX_NP, work};
 
 /// How large the problems of a solver are, and with them its workspace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,8 +24,8 @@ pub struct Size {
     pub(crate) stretches: usize,
     /// Parts and areas of occlusions.
     pub(crate) obstacles: usize,
-    /// Whether the arm is known.
-    pub(crate) has_arm: bool,
+    /// What the arm costs a command where it is known, else 0, [work](crate::work).
+    pub(crate) arm_ns: u32,
     /// What the clearance from the dearest of them costs, [work](crate::work).
     pub(crate) clearance_ns: u32,
 }
@@ -38,7 +38,14 @@ impl Size {
         // One for each damper and free command, and for each point and border in every step and on
         // the way of the first command.
         let obstacles = task.obstacles().count();
-        let dampers = task.arm.as_ref().map_or(0, |_| nc * MAX_BOUNDS);
+        let dampers = task.arm.as_ref().map_or(0, |arm| {
+            let has_shapes = !arm.shapes.pairs.is_empty();
+            nc * if has_shapes {
+                MAX_BOUNDS
+            } else {
+                WITHOUT_SHAPES
+            }
+        });
         let rows = dampers + (np + 1) * points * (SIDES + obstacles);
         Self {
             np,
@@ -47,7 +54,7 @@ impl Size {
             rows: rows.min(MAX_ROWS),
             stretches: most_stretches(task),
             obstacles,
-            has_arm: task.arm.is_some(),
+            arm_ns: task.arm.as_ref().map_or(0, work::of_arm),
             clearance_ns: task.obstacles().map(Obstacle::price_ns).max().unwrap_or(0),
         }
     }

@@ -50,6 +50,12 @@ fn room(arm: &Arm, q: &Joints) -> f64 {
     (0..JOINTS).map(room).fold(f64::INFINITY, f64::min)
 }
 
+/// The least distance of the arm's links, m.
+fn between(arm: &Arm, q: &Joints) -> f64 {
+    let each = arm.distances(q).map(|(_, distance)| distance);
+    each.fold(f64::INFINITY, f64::min)
+}
+
 /// Inputs of each test that draws them: `VPC_LONG=1` a million.
 fn inputs() -> usize {
     match std::env::var_os("VPC_LONG") {
@@ -69,9 +75,11 @@ fn whatever_the_law_is_shown_no_command_leads_a_joint_out_of_its_range() {
     scene.arm.as_mut().unwrap().walls.push(table).unwrap();
     let arm = panda();
     let (mut nearest, mut lowest, mut bound) = (f64::INFINITY, f64::INFINITY, 0);
+    let (mut apart, mut close) = (f64::INFINITY, 0);
     for strategy in [Strategy::Previous, Strategy::Foresight, Strategy::Ibvs] {
         let mut law = law(&scene, strategy);
         let (mut q, mut target) = (Joints::from(READY), [[0.0; 2]; 4]);
+        let mut is_apart = true;
         for k in 0..inputs() / 3 {
             if k % 40 == 0 {
                 // Anywhere within the ranges; and another picture to run after.
@@ -85,11 +93,12 @@ fn whatever_the_law_is_shown_no_command_leads_a_joint_out_of_its_range() {
                 ];
                 let size = random.random_range(20.0..120.0);
                 target = [[u, v], [u + size, v], [u + size, v + size], [u, v + size]];
+                is_apart = between(&arm, &q) > arm.shapes.clearance;
                 law.reset();
                 law.sent(&[0.0; 6], k as u64 * PERIOD_NS);
             }
             let camera = arm.chain.pose(&q);
-            if camera.translation.z < 0.1 {
+            if camera.translation.z < 0.1 || !is_apart {
                 continue;
             }
             let now_ns = k as u64 * PERIOD_NS;
@@ -114,11 +123,16 @@ fn whatever_the_law_is_shown_no_command_leads_a_joint_out_of_its_range() {
             bound += usize::from(left < 1.05 * arm.margin);
             nearest = nearest.min(left);
             lowest = lowest.min(arm.chain.pose(&q).translation.z);
+            apart = apart.min(between(&arm, &q));
+            close += usize::from(between(&arm, &q) < 1.5 * arm.shapes.clearance);
         }
     }
     // Where a posture turns singular on the way, braking takes a part of the margin.
     assert!(nearest > 0.6 * arm.margin, "{nearest} rad left");
     assert!(lowest > 0.097, "{lowest} m above the base");
+    let clearance = arm.shapes.clearance;
+    assert!(apart > 0.8 * clearance, "{apart} m between links");
+    assert!(close > 20, "{close}");
     // The bounds were needed.
     assert!(bound > 100, "{bound}");
 }
@@ -324,6 +338,83 @@ fn near_a_goal_behind_a_wall_it_stands_and_tells_the_wall() {
     assert!(lowest > offset - 1e-4, "{lowest}");
     assert!((5.0..50.0).contains(&error_px), "{error_px}");
     assert_eq!((stands, cause), (true, Some(Cause::Wall(0))));
+}
+
+#[test]
+fn a_way_that_presses_a_link_into_a_box_or_wall_ends_at_the_clearance_and_tells_what_is_near() {
+    let camera = panda().chain.pose(&Joints::from(READY));
+    let goal = |scene: &Scene| {
+        Pose::from_parts(
+            Translation3::from(scene.goal.translation),
+            Rotation3::new(Vector3::from(scene.goal.rotation)),
+        )
+    };
+    // The goal is 10 cm below. The hand's lowest point is 7.5 cm below the camera, and a box or a
+    // table 5 cm below that; the box is as far from the camera's own way as the hand reaches.
+    let top = camera.translation.z - 0.075 - 0.05;
+    let aside = |scene: &mut Scene| {
+        let hand = camera.translation.vector - Vector3::new(0.07, 0.0, 0.0);
+        let known = scene::Cuboid {
+            center: [hand.x, hand.y, top - 0.1],
+            rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+            half: [0.04, 0.15, 0.1],
+        };
+        let arm = scene.arm.as_mut().unwrap();
+        arm.boxes.push(known).unwrap();
+        scene::Other::Box(0)
+    };
+    let table = |scene: &mut Scene| {
+        let (normal, offset) = ([0.0, 0.0, 1.0], top);
+        let arm = scene.arm.as_mut().unwrap();
+        arm.walls.push(scene::Wall { normal, offset }).unwrap();
+        scene::Other::Wall(0)
+    };
+    for (build, of_box) in [(&aside as &dyn Fn(&mut Scene) -> _, true), (&table, false)] {
+        let mut scene = scene(true);
+        let other = build(&mut scene);
+        let known = scene.arm.as_mut().unwrap();
+        let hands = (0..known.shapes.len()).filter(|k| known.shape_links[*k] == "panda_hand");
+        let hands: Vec<u8> = hands.map(|k| k as u8).collect();
+        let pairs = hands.iter().map(|shape| scene::Pair {
+            shape: *shape,
+            other,
+        });
+        known.pairs.extend(pairs);
+        let (arm, clearance) = (vpc::arm::of(known), known.clearance);
+        let object = camera * Translation3::new(0.0, 0.0, 0.1) * goal(&scene);
+        let mut law = law(&scene, Strategy::Foresight);
+        let mut q = Joints::from(READY);
+        let (mut last, mut nearest) = (None, f64::INFINITY);
+        for k in 0..450 {
+            let points = seen(&scene, &(arm.chain.pose(&q).inverse() * object)).unwrap();
+            let now_ns = k * PERIOD_NS;
+            law.see_joints(q.as_slice(), now_ns);
+            let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
+            let step = law.step(&measured, None).unwrap();
+            law.sent(&step.twist, now_ns);
+            law.sent_elbow(step.elbow);
+            law.think(None);
+            q = arm.moved(&q, &step.twist, step.elbow, 1.0 / 30.0);
+            let distances = arm.distances(&q).map(|(_, distance)| distance);
+            nearest = distances.fold(nearest, f64::min);
+            last = Some((step.stands, step.cause, step.error_px));
+        }
+        let (stands, cause, error_px) = last.unwrap();
+        let Some(Cause::Near(pair)) = cause else {
+            panic!("{cause:?}, {nearest}");
+        };
+        let is_named = match pair.other {
+            vpc::arm::Other::Box(0) => of_box,
+            vpc::arm::Other::Wall(0) => !of_box,
+            _ => false,
+        };
+        assert!(is_named && hands.contains(&pair.shape), "{pair:?}");
+        assert!(
+            nearest > clearance - 1e-4 && nearest < clearance + 2e-3,
+            "{nearest}"
+        );
+        assert!(stands && error_px > 5.0, "{error_px}");
+    }
 }
 
 #[test]

@@ -220,7 +220,7 @@ impl View {
     pub fn bound(&self) -> Option<Bound<'_>> {
         let bound = self.seen.as_ref().or(self.latest())?.bound()?;
         Some(match &self.arm {
-            Some(arm) => bound.named(&arm.joint_names, &arm.wall_names),
+            Some(arm) => bound.named(arm.names()),
             None => bound,
         })
     }

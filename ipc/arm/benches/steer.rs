@@ -1,8 +1,12 @@
 //! Times of what the 1 kHz loop of the arm computes. `cargo bench --bench steer`
 
 use arm::ik::inverse;
-use arm::{Arm, Chain, Dampers, Joints, Model, ShaperSettings, Twist, singularity};
+use arm::{
+    Arm, Capsule, Chain, Cuboid, Dampers, Joints, Model, Other, Pair, ShaperSettings, Shapes,
+    Twist, singularity,
+};
 use divan::black_box;
+use nalgebra::{Rotation3, Vector3};
 
 fn main() {
     divan::main();
@@ -21,6 +25,41 @@ fn inverse_kinematics(bencher: divan::Bencher) {
 #[divan::bench]
 fn dampers(bencher: divan::Bencher) {
     let (arm, q) = law();
+    bencher.bench_local(|| Dampers::at(black_box(&arm), black_box(&q), &[1.0; 6], 0.4));
+}
+
+/// The same with as many shapes as the shipped Panda has, about a box on a table: 35 pairs.
+#[divan::bench]
+fn dampers_of_links(bencher: divan::Bencher) {
+    let (mut arm, q) = law();
+    let heights = [0.05, 0.25, 0.45, 0.6, 0.8, 0.95, 1.03, 1.0, 0.9, 0.85];
+    let joints = [0, 1, 2, 3, 4, 5, 6, 7, 7, 7];
+    let capsules = heights.into_iter().zip(joints).map(|(height, joints)| {
+        let ends = [-0.05, 0.05].map(|x| Vector3::new(x, 0.0, height));
+        let radius = 0.06;
+        Capsule {
+            ends,
+            radius,
+            joints,
+        }
+    });
+    let below = (0..3).flat_map(|k| (5..10).map(move |shape| (shape, Other::Link(k))));
+    let all = below.chain((0..10).flat_map(|k| [(k, Other::Box(0)), (k, Other::Wall(0))]));
+    arm.walls.extend([arm::Wall {
+        normal: [0.0, 0.0, 1.0],
+        offset: 0.0,
+    }]);
+    arm.shapes = Shapes {
+        capsules: capsules.collect(),
+        boxes: std::iter::once(Cuboid {
+            center: Vector3::new(0.5, 0.0, 0.1),
+            rotation: Rotation3::identity(),
+            half: Vector3::new(0.1, 0.2, 0.1),
+        })
+        .collect(),
+        pairs: all.map(|(shape, other)| Pair { shape, other }).collect(),
+        clearance: 0.02,
+    };
     bencher.bench_local(|| Dampers::at(black_box(&arm), black_box(&q), &[1.0; 6], 0.4));
 }
 
@@ -43,6 +82,7 @@ fn law() -> (Arm, Joints) {
         is_elbow_free: true,
         walls: Default::default(),
         points: Default::default(),
+        shapes: Default::default(),
     };
     (arm, Joints::from(arm::READY))
 }

@@ -1,12 +1,12 @@
 //! Velocity dampers: the bounds on the camera's velocity by which an arm keeps within its ranges,
-//! speeds and walls, and off its singular postures.
+//! speeds and walls, off its singular postures, and its links off each other and off boxes.
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
 //! | v | | the camera's velocity along camera axes, m/s and rad/s |
 //! | dq = M v + s w | [`Dampers::joints`] | velocities of the joints |
 //! | s w | [`Dampers::elbow`] | what of them turns the elbow at w, rad/s, while the camera stands |
-//! | h(q) | | what is left: to the end of a range, to a wall, of the acceleration; negative beyond |
+//! | h(q) | | what is left: to the end of a range, to what is near, of the acceleration |
 //! | g v <= b | [`Bound`] | -dh/dt is no greater than what is left allows |
 //!
 //! Every b is at least 0, so that standing still is always allowed, and with a twist each shorter
@@ -21,6 +21,7 @@
 
 use nalgebra::{Matrix6, RowSVector, SMatrix, SVector, Vector3};
 
+use crate::collision::{MAX_ROWS, Pair};
 use crate::description::{Arm, MAX_POINTS, MAX_WALLS};
 use crate::elbow;
 use crate::ik::{self, Inverse, held, inverse, square};
@@ -44,7 +45,9 @@ const RATE: f64 = 2.0;
 const ELBOWS: f64 = 0.5;
 
 /// Most bounds of an arm.
-pub const MAX_BOUNDS: usize = 3 * JOINTS + MAX_WALLS * MAX_POINTS;
+pub const MAX_BOUNDS: usize = WITHOUT_SHAPES + MAX_ROWS;
+/// Most bounds of an arm whose links have no shapes.
+pub const WITHOUT_SHAPES: usize = 3 * JOINTS + MAX_WALLS * MAX_POINTS;
 
 /// What bounds a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,8 +58,10 @@ pub enum Cause {
     Speed(usize),
     /// A singular posture.
     Singularity,
-    /// The wall of this index.
+    /// The wall of this index, for the camera or a point beside it.
     Wall(usize),
+    /// A link, and what it is near.
+    Near(Pair),
 }
 
 /// A bound on the camera's velocity: `gradient` times it is at most `most`.
@@ -64,8 +69,8 @@ pub enum Cause {
 pub struct Bound {
     /// g, for a velocity along camera axes.
     pub gradient: [f64; 6],
-    /// b, at least 0; rad/s of a joint that turns, m/s of one that slides and of a wall, 1/s of a
-    /// singularity.
+    /// b, at least 0; rad/s of a joint that turns, m/s of one that slides, of a wall and of a
+    /// pair, 1/s of a singularity.
     pub most: f64,
     /// What bounds.
     pub cause: Cause,
@@ -159,6 +164,16 @@ impl Dampers {
                 let gradient = [turned.x, turned.y, turned.z, moment.x, moment.y, moment.z];
                 add(gradient.map(|g| -g), 0.0, damped(left), Cause::Wall(i));
             }
+        }
+        for row in arm.rows_of_pairs(q, &camera, &jacobian) {
+            let gradient: [f64; 6] = (row.gradient * map).transpose().into();
+            let turn = -(row.gradient * free)[0];
+            add(
+                gradient.map(|g| -g),
+                turn,
+                damped(row.left),
+                Cause::Near(row.pair),
+            );
         }
         let mut elbow = 0.0;
         if arm.is_elbow_free {
@@ -342,6 +357,7 @@ mod tests {
             is_elbow_free: false,
             walls: [wall].into_iter().collect(),
             points: [[0.0; 3], [0.0, 0.0, 0.1]].into_iter().collect(),
+            shapes: Default::default(),
         }
     }
 

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 
+use crate::collision::Shapes;
 use crate::kinematics::Chain;
 use crate::limits::Limits;
 
@@ -32,6 +33,8 @@ pub struct Arm {
     pub walls: heapless::Vec<Wall, MAX_WALLS>,
     /// Points that keep off the walls, along camera axes from the camera, m.
     pub points: heapless::Vec<[f64; 3], MAX_POINTS>,
+    /// Links that keep off each other, boxes and walls.
+    pub shapes: Shapes,
 }
 
 /// A wall: points stay on the side that its normal shows to.

@@ -123,7 +123,7 @@ impl Chain {
 
     /// O_T_F, the flange in the base.
     pub fn flange(&self, q: &Joints) -> Pose {
-        self.walk(q, |_, _, _| ())
+        self.walk(q, |_, _, _, _| ())
     }
 
     /// O_T_EE, the end effector in the base.
@@ -135,7 +135,7 @@ impl Chain {
     /// does not have.
     pub fn places(&self, q: &Joints) -> [Vector3<f64>; JOINTS + 2] {
         let mut places = [Vector3::zeros(); JOINTS + 2];
-        let flange = self.walk(q, |joint, _, point| places[joint + 1] = *point);
+        let flange = self.walk(q, |joint, _, point, _| places[joint + 1] = *point);
         places[JOINTS + 1] = flange.translation.vector;
         places
     }
@@ -149,7 +149,7 @@ impl Chain {
     /// O_T_EE and the Jacobian.
     pub fn at(&self, q: &Joints) -> (Pose, Jacobian) {
         let mut jacobian = Jacobian::zeros();
-        let flange = self.walk(q, |joint, axis, point| {
+        let flange = self.walk(q, |joint, axis, point, _| {
             let column = match self.screws[joint].slides {
                 true => join(axis, &Vector3::zeros()),
                 // The velocity of the base's origin, which the end effector's replaces below.
@@ -166,15 +166,29 @@ impl Chain {
         (ee, jacobian)
     }
 
+    /// How each link has moved from where it is while all joints stand at zero, in the base: entry
+    /// k is of the link behind k joints; those behind more than the arm has mean nothing.
+    pub fn moved_links(&self, q: &Joints) -> [Pose; JOINTS + 1] {
+        let mut moved = [Pose::identity(); JOINTS + 1];
+        let flange = self.walk(q, |joint, _, _, before| moved[joint] = before);
+        moved[self.count] = flange * self.flange.inverse();
+        moved
+    }
+
     /// Walks from the base to the flange, which it returns, and shows the axis and the point of
-    /// each joint on the way, in the base.
-    fn walk(&self, q: &Joints, mut show: impl FnMut(usize, &Vector3<f64>, &Vector3<f64>)) -> Pose {
+    /// each joint on the way, in the base, and how the link before it has moved.
+    fn walk(
+        &self,
+        q: &Joints,
+        mut show: impl FnMut(usize, &Vector3<f64>, &Vector3<f64>, Pose),
+    ) -> Pose {
         let mut rotation = Rotation3::identity();
         let mut shift = Vector3::zeros();
         for (joint, screw) in self.screws.iter().enumerate().take(self.count) {
             let axis = rotation * screw.axis;
             let place = rotation * screw.point + shift;
-            show(joint, &axis, &place);
+            let before = Pose::from_parts(Translation3::from(shift), rotation);
+            show(joint, &axis, &place, before);
             if screw.slides {
                 shift += axis * q[joint];
             } else {

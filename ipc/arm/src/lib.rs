@@ -5,6 +5,8 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
 pub mod bridge;
+pub mod capsule;
+pub mod collision;
 pub mod damper;
 pub mod description;
 pub mod elbow;
@@ -18,6 +20,8 @@ pub mod shaper;
 pub mod singularity;
 
 pub use bridge::{Bridge, Caps, Driver, Limited, Measured, Room};
+pub use capsule::{Capsule, Cuboid};
+pub use collision::{Other, Pair, Shapes};
 pub use damper::{Bound, Cause, Dampers};
 pub use description::{Arm, Wall};
 pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Screw, Twist};

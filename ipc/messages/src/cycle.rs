@@ -174,8 +174,12 @@ codes! {
         Speed = 2 => "joint speed",
         /// The posture is nearly singular.
         Singularity = 3 => "singularity",
-        /// The camera, or a point of the arm, is at a wall.
+        /// The camera, a point of the arm or a link is at a wall.
         Wall = 4 => "wall",
+        /// A link is near another one.
+        Link = 5 => "link",
+        /// A link is near a box.
+        Box = 6 => "box",
     }
 }
 
@@ -184,29 +188,57 @@ codes! {
 pub struct Bound<'a> {
     /// What it is.
     pub kind: ArmBound,
-    /// Of the joint, base to flange, or of the wall; from 0.
+    /// Of the joint, base to flange, of the wall, box or the other link's shape; from 0.
     pub index: usize,
-    /// Name of the joint or wall; empty if it is not known.
+    /// Name of the joint, wall, box or other link; empty if it is not known.
     pub name: &'a str,
+    /// Index of the link's shape that is near it, from 0.
+    pub link: Option<usize>,
+    /// Name of that link; empty if it is not known.
+    pub link_name: &'a str,
 }
 
+/// One more than the largest index of a joint, wall, box or shape.
+const INDICES: usize = 256;
+
 impl<'a> Bound<'a> {
-    /// With its name, from those of all joints, base to flange, and of all walls.
-    pub fn named<T: AsRef<str>>(self, joints: &'a [T], walls: &'a [T]) -> Self {
+    /// The field `arm_bound_index`, of a joint, wall, box or other link's shape, and of the link's
+    /// shape near it.
+    pub fn coded_index(index: usize, link: Option<usize>) -> u32 {
+        (index + INDICES * link.map_or(0, |link| link + 1)) as u32
+    }
+
+    /// With its names, from those of all joints, base to flange, walls, shapes' links and boxes.
+    pub fn named<T: AsRef<str>>(self, [joints, walls, links, boxes]: [&'a [T]; 4]) -> Self {
         let names = match self.kind {
             ArmBound::Range | ArmBound::Speed => joints,
             ArmBound::Wall => walls,
+            ArmBound::Link => links,
+            ArmBound::Box => boxes,
             ArmBound::Singularity => &[],
         };
-        let name = names.get(self.index).map_or("", AsRef::as_ref);
-        Self { name, ..self }
+        let name = |names: &'a [T], index: usize| names.get(index).map_or("", AsRef::as_ref);
+        Self {
+            name: name(names, self.index),
+            link_name: self.link.map_or("", |link| name(links, link)),
+            ..self
+        }
     }
 }
 
 impl fmt::Display for Bound<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { kind, index, name } = *self;
+        let Self {
+            kind, index, name, ..
+        } = *self;
         let number = index + 1;
+        if let Some(link) = self.link {
+            match self.link_name {
+                "" => write!(f, "link shape {}", link + 1)?,
+                name => f.write_str(name)?,
+            }
+            f.write_str(" is ")?;
+        }
         match (kind, name) {
             (ArmBound::Range, "") => write!(f, "joint {number} is at the end of its range"),
             (ArmBound::Range, _) => write!(f, "{name} is at the end of its range"),
@@ -215,6 +247,10 @@ impl fmt::Display for Bound<'_> {
             (ArmBound::Singularity, _) => f.write_str("near a singular posture"),
             (ArmBound::Wall, "") => write!(f, "at wall {number}"),
             (ArmBound::Wall, _) => write!(f, "at wall {number} ({name})"),
+            (ArmBound::Link, "") => write!(f, "near link shape {number}"),
+            (ArmBound::Link, _) => write!(f, "near {name}"),
+            (ArmBound::Box, "") => write!(f, "near box {number}"),
+            (ArmBound::Box, _) => write!(f, "near box {number} ({name})"),
         }
     }
 }
@@ -436,7 +472,8 @@ message! {
         predicted: u32,
         /// What of the arm binds the law's command.
         arm_bound: u32 [code(ArmBound)],
-        /// Index of that joint, base to flange, or of that wall, from 0.
+        /// Index of that joint, base to flange, wall, box or link's shape, from 0; where a link's
+        /// shape is near it, plus 256 times that shape's number, from 1.
         arm_bound_index: u32,
         /// Velocity of the arm's elbow that was sent.
         elbow: f64 ["rad/s" finite],
@@ -455,8 +492,10 @@ impl CycleRecord {
     pub fn bound(&self) -> Option<Bound<'static>> {
         Some(Bound {
             kind: ArmBound::from_code(self.arm_bound)?,
-            index: self.arm_bound_index as usize,
+            index: self.arm_bound_index as usize % INDICES,
             name: "",
+            link: (self.arm_bound_index as usize / INDICES).checked_sub(1),
+            link_name: "",
         })
     }
 
@@ -556,14 +595,35 @@ mod tests {
         let bound = record.bound().unwrap();
         assert_eq!(bound.to_string(), "joint 4 is at the end of its range");
         let (joints, walls) = (["a", "b", "c", "elbow"], ["table"]);
-        let named = bound.named(&joints, &walls);
+        let names: [&[&str]; 4] = [&joints, &walls, &["base", "hand"], &["bin"]];
+        let named = bound.named(names);
         assert_eq!(named.to_string(), "elbow is at the end of its range");
-        assert_eq!(bound.named(&joints[..3], &walls), bound);
-        (record.arm_bound, record.arm_bound_index) = (ArmBound::Wall.code(), 0);
-        let bound = record.bound().unwrap();
-        assert_eq!(bound.to_string(), "at wall 1");
-        let named = bound.named(&joints, &walls);
-        assert_eq!(named.to_string(), "at wall 1 (table)");
+        assert_eq!(bound.named([&joints[..3], &[], &[], &[]]), bound);
+        let mut told = |kind: ArmBound, index, link| {
+            let index = Bound::coded_index(index, link);
+            (record.arm_bound, record.arm_bound_index) = (kind.code(), index);
+            let bound = record.bound().unwrap();
+            [bound.to_string(), bound.named(names).to_string()]
+        };
+        assert_eq!(
+            told(ArmBound::Wall, 0, None),
+            ["at wall 1", "at wall 1 (table)"]
+        );
+        let by_link = told(ArmBound::Wall, 0, Some(1));
+        assert_eq!(
+            by_link,
+            ["link shape 2 is at wall 1", "hand is at wall 1 (table)"]
+        );
+        let links = told(ArmBound::Link, 0, Some(1));
+        assert_eq!(
+            links,
+            ["link shape 2 is near link shape 1", "hand is near base"]
+        );
+        let of_box = told(ArmBound::Box, 0, Some(1));
+        assert_eq!(
+            of_box,
+            ["link shape 2 is near box 1", "hand is near box 1 (bin)"]
+        );
     }
 
     #[test]

@@ -9,7 +9,8 @@ use serde::Deserialize;
 use toml_schema::{Document, FileError};
 use urdf_rs::{Joint, JointType};
 
-use crate::model::{Arm, ArmJoint, MAX_JOINTS, MAX_WALL_POINTS, MAX_WALLS, Name, Wall};
+use crate::collision::{BoxTable, Reader};
+use crate::model::{Arm, ArmJoint, MAX_BOXES, MAX_JOINTS, MAX_WALL_POINTS, MAX_WALLS, Name, Wall};
 
 /// Largest number of an origin, m and rad; a NaN is none.
 const MOST_ORIGIN: f64 = 1e3;
@@ -19,8 +20,8 @@ const MOST_DEPTH: usize = 100;
 const FEWEST: usize = 6;
 
 /// The arm that carries the camera. A scene names this file by its key `arm`; the law then keeps
-/// joints within their ranges and speeds, off singular postures, and points of the arm behind
-/// walls.
+/// joints within their ranges and speeds, off singular postures, points of the arm behind walls,
+/// and links off each other, boxes and walls.
 #[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Arm")]
@@ -74,6 +75,19 @@ struct Tables {
     #[serde(default)]
     #[schemars(length(max = MAX_WALL_POINTS), inner(inner(range(min = -2, max = 2))), extend("x-unit" = "m"))]
     points: Vec<[f64; 3]>,
+    /// Boxes that links keep off, in the base frame.
+    #[serde(default)]
+    #[schemars(length(max = MAX_BOXES))]
+    r#box: Vec<BoxTable>,
+    /// Least distance of links from each other, from boxes and from walls. Their shapes are the
+    /// URDF's collision shapes, each in a capsule; links that one joint joins are not compared.
+    #[serde(default = "clearance")]
+    #[schemars(range(min = 0, max = 0.5), extend("x-unit" = "m"))]
+    clearance: f64,
+    /// What is not compared: a link with a link, box or wall, or one name alone with everything.
+    #[serde(default)]
+    #[schemars(extend("x-allowed" = "lists of one or two names of links, boxes and walls"))]
+    ignore: Vec<Vec<String>>,
 }
 
 /// What the elbow does.
@@ -126,6 +140,10 @@ fn speed() -> f64 {
 
 fn strain() -> f64 {
     0.6
+}
+
+fn clearance() -> f64 {
+    0.02
 }
 
 /// Returns the JSON Schema of an arm file.
@@ -216,8 +234,14 @@ impl Checker {
             walls: heapless::Vec::new(),
             wall_names: heapless::Vec::new(),
             points: heapless::Vec::new(),
+            clearance: tables.clearance,
+            shapes: heapless::Vec::new(),
+            shape_links: heapless::Vec::new(),
+            boxes: heapless::Vec::new(),
+            box_names: heapless::Vec::new(),
+            pairs: heapless::Vec::new(),
         };
-        for joint in path {
+        for joint in &path {
             let given = joint.origin.xyz.0.iter().chain(&joint.origin.rpy.0);
             if !given.clone().all(|x| x.abs() < MOST_ORIGIN) {
                 return Err(self.wrong(joint, "origin", "numbers below 1000"));
@@ -270,6 +294,16 @@ impl Checker {
         }
         let seen = |point: &[f64; 3]| (mounted.inverse() * nalgebra::Point3::from(*point)).into();
         arm.points.extend(tables.points.iter().map(seen));
+        let reader = Reader {
+            robot: &robot,
+            path: &path,
+            base: &tables.base,
+            boxes: &tables.r#box,
+            ignore: &tables.ignore,
+            document: &self.document,
+            urdf: &self.urdf,
+        };
+        reader.read(&mut arm)?;
         Ok(arm)
     }
 

@@ -27,6 +27,8 @@ mod model;
 #[cfg(feature = "file")]
 mod arm;
 #[cfg(feature = "file")]
+mod collision;
+#[cfg(feature = "file")]
 mod file;
 #[cfg(feature = "file")]
 mod files;
@@ -40,9 +42,9 @@ mod text;
 pub use fingerprint::Fingerprint;
 pub use mask::{Area, Field, MAX_AREAS, Mask};
 pub use model::{
-    Arm, ArmJoint, Camera, Cost, Limits, MAX_JOINTS, MAX_OCCLUSIONS, MAX_PARTS, MAX_POINTS,
-    MAX_WALL_POINTS, MAX_WALLS, MIN_POINTS, Name, Occlusion, Part, Pose, Scene, StartRegion,
-    Success, Wall,
+    Arm, ArmJoint, Camera, Cost, Cuboid, Limits, MAX_BOXES, MAX_JOINTS, MAX_OCCLUSIONS, MAX_PAIRS,
+    MAX_PARTS, MAX_POINTS, MAX_SHAPES, MAX_WALL_POINTS, MAX_WALLS, MIN_POINTS, Name, Occlusion,
+    Other, Pair, Part, Pose, Scene, Shape, StartRegion, Success, Wall,
 };
 
 #[cfg(feature = "file")]

@@ -22,6 +22,13 @@ pub const MAX_WALLS: usize = 8;
 /// Most points that keep behind them, beside the camera.
 pub const MAX_WALL_POINTS: usize = 3;
 
+/// Most collision shapes of its links.
+pub const MAX_SHAPES: usize = 16;
+/// Most boxes about it.
+pub const MAX_BOXES: usize = 8;
+/// Most pairs of a link and a link, box or wall that keep apart.
+pub const MAX_PAIRS: usize = 128;
+
 /// A name of at most 32 bytes.
 pub type Name = String<32>;
 
@@ -86,6 +93,72 @@ pub struct Arm {
     pub wall_names: Vec<Name, MAX_WALLS>,
     /// Points that keep behind the walls beside the camera's origin, along camera axes, m.
     pub points: Vec<[f64; 3], MAX_WALL_POINTS>,
+    /// Least distance of each pair, m.
+    pub clearance: f64,
+    /// Collision shapes of the links.
+    pub shapes: Vec<Shape, MAX_SHAPES>,
+    /// Names of their links in the URDF; empty where one is longer than a [`Name`].
+    pub shape_links: Vec<Name, MAX_SHAPES>,
+    /// Boxes about it.
+    pub boxes: Vec<Cuboid, MAX_BOXES>,
+    /// Names of the boxes; empty where the file gives none.
+    pub box_names: Vec<Name, MAX_BOXES>,
+    /// Which of them keep apart.
+    pub pairs: Vec<Pair, MAX_PAIRS>,
+}
+
+impl Arm {
+    /// The names of its joints, walls, collision shapes and boxes.
+    pub fn names(&self) -> [&[Name]; 4] {
+        [
+            &self.joint_names,
+            &self.wall_names,
+            &self.shape_links,
+            &self.box_names,
+        ]
+    }
+}
+
+/// A collision shape of a link: all that is no farther than a radius from a segment (a capsule).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shape {
+    /// The ends of the segment, m; of a sphere the same.
+    pub ends: [[f64; 3]; 2],
+    /// m.
+    pub radius: f64,
+    /// How many joints move the link: 0 is the base's.
+    pub joints: usize,
+}
+
+/// A box that does not move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Cuboid {
+    /// Its middle, m.
+    pub center: [f64; 3],
+    /// Rows of the rotation from its axes to the base's.
+    pub rotation: [[f64; 3]; 3],
+    /// Half its edges, m.
+    pub half: [f64; 3],
+}
+
+/// A shape, by its index, and what it keeps off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pair {
+    /// Of the shapes.
+    pub shape: u8,
+    /// The other one.
+    pub other: Other,
+}
+
+/// What a shape keeps off, by its index.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Other {
+    /// A shape that fewer joints move.
+    Link(u8),
+    /// A box.
+    Box(u8),
+    /// A wall.
+    Wall(u8),
 }
 
 /// A joint of an arm; m in place of rad where it slides.

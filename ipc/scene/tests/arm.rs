@@ -80,9 +80,84 @@ fn walls_and_points_are_in_the_frames_that_the_schema_says() {
 }
 
 #[test]
+fn links_have_the_shapes_of_the_urdf_each_in_a_capsule() {
+    // A cylinder and the balls at its ends are one.
+    let shapes = "<collision><origin xyz=\"0 0 0.1\"/><geometry><sphere radius=\"0.05\"/></geometry></collision>\
+        <collision><geometry><cylinder radius=\"0.05\" length=\"0.2\"/></geometry></collision>\
+        <collision><origin xyz=\"0 0 -0.1\"/><geometry><sphere radius=\"0.05\"/></geometry></collision>\
+        <collision><origin xyz=\"0.5 0 0\"/><geometry><box size=\"0.06 0.4 0.08\"/></geometry></collision>";
+    let link = format!("<link name=\"panda_link8\">{shapes}</link>");
+    let urdf = PANDA.replace("<link name=\"panda_link8\"/>", &link);
+    let [before, arm] = [PANDA, &urdf].map(|urdf| read(ARM, urdf).unwrap().arm.unwrap());
+    assert_eq!((before.shapes.len(), arm.shapes.len()), (10, 12));
+    let mut found = arm.shapes.iter().zip(&arm.shape_links);
+    let [tube, bar] = [0, 1].map(|_| found.find(|(_, name)| *name == "panda_link8").unwrap().0);
+    assert_eq!((tube.joints, tube.radius), (7, 0.05));
+    // The flange is there at zero, and looks down.
+    let close = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+    assert!(close(tube.ends[0], [0.088, 0.0, 0.926 + 0.1]), "{tube:?}");
+    assert!(close(tube.ends[1], [0.088, 0.0, 0.926 - 0.1]), "{tube:?}");
+    assert!((bar.radius - 0.05).abs() < 1e-12);
+    assert!(close(bar.ends[0], [0.588, 0.2, 0.926]), "{bar:?}");
+    // The hand, fixed to the flange, is a link of the arm.
+    assert!(arm.shape_links.iter().any(|name| name == "panda_hand"));
+}
+
+#[test]
+fn neighbours_and_what_the_file_ignores_are_not_compared() {
+    let boxed = |more: &str| {
+        let walls = "[[wall]]\nname = \"floor\"\nnormal = [0.0, 0.0, 1.0]\noffset = 0.0\n\
+            [[box]]\nname = \"bin\"\nsize = [0.2, 0.3, 0.4]\ntranslation = [0.5, 0.0, 0.2]\n\
+            rotation = [0.0, 0.0, 1.5707963267948966]\n[camera]";
+        let text = ARM.replace("ignore = [", &format!("ignore = [{more}"));
+        read(&text.replace("[camera]", walls), PANDA)
+            .unwrap()
+            .arm
+            .unwrap()
+    };
+    let told = |arm: &scene::Arm| {
+        let name = |pair: &scene::Pair| {
+            let other = match pair.other {
+                scene::Other::Link(k) => &arm.shape_links[usize::from(k)],
+                scene::Other::Box(k) => &arm.box_names[usize::from(k)],
+                scene::Other::Wall(k) => &arm.wall_names[usize::from(k)],
+            };
+            [
+                arm.shape_links[usize::from(pair.shape)].to_string(),
+                other.to_string(),
+            ]
+        };
+        arm.pairs.iter().map(name).collect::<Vec<_>>()
+    };
+    let arm = boxed("");
+    let pairs = told(&arm);
+    let has = |pairs: &[[String; 2]], a: &str, b: &str| pairs.iter().any(|pair| pair == &[a, b]);
+    assert!(has(&pairs, "panda_hand", "panda_link0") && has(&pairs, "panda_link5", "panda_link2"));
+    assert!(!has(&pairs, "panda_link7", "panda_link6"), "neighbours");
+    assert!(!has(&pairs, "panda_hand", "panda_link5"), "ignored");
+    assert!(has(&pairs, "panda_link1", "bin") && has(&pairs, "panda_hand", "floor"));
+    assert!(!has(&pairs, "panda_link0", "bin"), "neither moves");
+    let turned = arm.boxes[0];
+    assert_eq!(
+        (turned.half, turned.center),
+        ([0.1, 0.15, 0.2], [0.5, 0.0, 0.2])
+    );
+    assert!((turned.rotation[0][1] + 1.0).abs() < 1e-12, "{turned:?}");
+    let pairs = told(&boxed("[\"bin\", \"panda_link1\"], [\"panda_link2\"],"));
+    assert!(!has(&pairs, "panda_link1", "bin") && has(&pairs, "panda_link3", "bin"));
+    assert!(!pairs.iter().flatten().any(|name| name == "panda_link2"));
+}
+
+#[test]
 fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
     let arm = |from: &str, to: &str| refused(&ARM.replacen(from, to, 1), PANDA);
     let urdf = |from: &str, to: &str| refused(ARM, &PANDA.replacen(from, to, 1));
+    let ball = |k: u32| {
+        format!(
+            "<collision><origin xyz=\"{k} 0 0\"/><geometry><sphere radius=\"0.1\"/></geometry></collision>"
+        )
+    };
+    let balls: String = (1..=10).map(ball).collect();
     for (error, parts) in [
         (
             arm("panda.urdf", "no.urdf"),
@@ -185,6 +260,55 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
                 "lower=\"0\" upper=\"0.3\"",
             ),
             vec!["a range of more than twice the key `margin`"],
+        ),
+        (
+            urdf(
+                "<cylinder radius=\"0.105\" length=\"0.07\"/>",
+                "<mesh filename=\"a.stl\"/>",
+            ),
+            vec![
+                "cell/panda.urdf",
+                "panda_link0: its collision shape is a mesh",
+                "a box, capsule",
+            ],
+        ),
+        (
+            urdf("radius=\"0.105\"", "radius=\"-0.1\""),
+            vec!["panda_link0: its collision shape", "above 0"],
+        ),
+        (
+            urdf(
+                "hand_joint\" type=\"fixed\"",
+                "hand_joint\" type=\"planar\"",
+            ),
+            vec![
+                "panda_hand: a joint beside the way",
+                "[\"panda_hand\"]",
+                "`ignore`",
+            ],
+        ),
+        (
+            urdf("</link>", &format!("{balls}</link>")),
+            vec!["one more collision shape", "16 of all links"],
+        ),
+        (
+            arm("ignore = [", "ignore = [[\"elbow\"],"),
+            vec!["ignore[0] = elbow", "a link, box or wall: panda_link0"],
+        ),
+        (
+            arm("ignore = [", "ignore = [[],"),
+            vec!["ignore[0] = a list of 0", "one or two"],
+        ),
+        (
+            arm(
+                "[camera]",
+                "[[box]]\nsize = [0.0, 1.0, 1.0]\ntranslation = [0.0, 0.0, 0.0]\n[camera]",
+            ),
+            vec!["box[0].size[0] = 0", "0.001 to 20 m"],
+        ),
+        (
+            arm("ignore = [", "clearance = 0.6\nignore = ["),
+            vec!["clearance = 0.6", "0 to 0.5 m"],
         ),
     ] {
         for part in parts {

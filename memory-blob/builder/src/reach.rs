@@ -41,8 +41,8 @@ impl Reach {
     }
 
     /// Whether the camera can be where it sees the object at this pose: on a straight way there,
-    /// at an even turn, no joint comes into the margin of its range, no point behind a wall, and
-    /// the arm near no singular posture.
+    /// at an even turn, no joint comes into the margin of its range, no point behind a wall, no
+    /// link into its clearance, and the arm near no singular posture.
     pub fn includes(&self, start: &Pose) -> bool {
         let wanted = self.base_from_object * rigid(start).inverse();
         let mut q = self.goal;

@@ -1,17 +1,19 @@
-//! Judges from outside: another library and a real robot say where the joints of an arm file put
-//! the camera.
+//! Judges from outside: other libraries and a real robot say where the joints of an arm file put
+//! the camera, and how far its links are apart.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
-use arm::{Chain, JOINTS, Jacobian, Joints, Pose};
+use arm::{Chain, JOINTS, Jacobian, Joints, Other, Pose};
 use nalgebra::{Matrix3, Rotation3, Translation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use testkit::python::Environment;
 use testkit::{Place, not_run, root, tell};
 
@@ -19,6 +21,8 @@ use testkit::{Place, not_run, root, tell};
 const POSTURES: usize = 300;
 /// What two kinematics may differ by, m and rad.
 const EXACT: f64 = 1e-9;
+/// What two libraries' distances of the same bodies may differ by, m.
+const SEPARATION: f64 = 1e-6;
 /// The Cartesian pose of a real robot's reading, m.
 const READING: f64 = 1e-6;
 /// How far the robot's own rotations, of single precision, are from being rotations.
@@ -42,9 +46,16 @@ struct Judged {
     end_effector: [Vec<f64>; 6],
 }
 
-fn pinocchio(python: &Path, file: &Path, postures: &[Vec<f64>]) -> Vec<Judged> {
+/// What a judge says of each posture of an arm file.
+fn judged<T: DeserializeOwned>(
+    python: &Path,
+    judge: &str,
+    file: &Path,
+    postures: &[Vec<f64>],
+) -> Vec<T> {
+    let program = root().join("tests/tests/judges").join(judge);
     let mut judge = testkit::command(python);
-    judge.arg(root().join("tests/tests/judges/pinocchio_judge.py"));
+    judge.arg(program);
     judge.arg(file).stdin(Stdio::piped()).stdout(Stdio::piped());
     let mut judge = judge.spawn().unwrap();
     let asked = serde_json::to_vec(postures).unwrap();
@@ -94,13 +105,8 @@ fn camera_and_jacobian_of_every_arm_file_are_those_of_pinocchio() {
     let mut random = ChaCha8Rng::seed_from_u64(33);
     for file in files {
         let (described, arm) = arm(&file);
-        let mut posture = |_| {
-            let joints = described.joints.iter();
-            let at = joints.map(|joint| random.random_range(joint.range[0]..joint.range[1]));
-            at.collect()
-        };
-        let postures: Vec<Vec<f64>> = (0..POSTURES).map(&mut posture).collect();
-        let judged = pinocchio(&python, &file, &postures);
+        let postures = postures(&described, &mut random);
+        let judged: Vec<Judged> = judged(&python, "pinocchio_judge.py", &file, &postures);
         assert_eq!(judged.len(), POSTURES);
         let mut apart = [0.0_f64; 3];
         for (posture, judged) in postures.iter().zip(judged) {
@@ -125,6 +131,92 @@ fn camera_and_jacobian_of_every_arm_file_are_those_of_pinocchio() {
             apart[2],
         ));
         assert!(apart.iter().all(|apart| *apart < EXACT), "{apart:?}");
+    }
+}
+
+/// Anywhere within the ranges.
+fn postures(arm: &scene::Arm, random: &mut ChaCha8Rng) -> Vec<Vec<f64>> {
+    let mut posture = |_| {
+        let joints = arm.joints.iter();
+        let at = joints.map(|joint| random.random_range(joint.range[0]..joint.range[1]));
+        at.collect()
+    };
+    (0..POSTURES).map(&mut posture).collect()
+}
+
+/// An arm file with a table that is a box, and a slanted one.
+fn boxed(file: &Path) -> Place {
+    let place = Place::new();
+    let text = fs::read_to_string(file).unwrap();
+    let urdf = file.with_extension("urdf");
+    let name = urdf.file_name().unwrap().to_str().unwrap();
+    place.file(name, fs::read_to_string(&urdf).unwrap());
+    let boxes = "[[box]]\nname = \"table\"\nsize = [1.2, 1.6, 0.1]\ntranslation = [0.3, 0.1, -0.05]\n\
+        [[box]]\nname = \"fixture\"\nsize = [0.1, 0.2, 0.3]\ntranslation = [0.4, 0.2, 0.3]\n\
+        rotation = [0.4, -0.7, 1.1]\n";
+    place.file("arm.toml", text + boxes);
+    place
+}
+
+/// The distance of two bodies, by their names.
+type Distances = BTreeMap<String, f64>;
+
+#[test]
+#[ignore = "installs coal: CI runs it in a line of its own"]
+fn distances_of_links_and_boxes_are_those_of_coal() {
+    let environment = Environment {
+        name: "python-coal",
+        requirements: &[],
+        packages: &["pin==4.1.0", "coal==3.0.3", "numpy==2.4.6"],
+    };
+    let Some(python) = environment.python("coal as a judge") else {
+        return;
+    };
+    let mut random = ChaCha8Rng::seed_from_u64(35);
+    let shipped = root().join("ipc/scene/scenes");
+    let files = ["panda.toml", "fr3.toml"].map(|name| shipped.join(name));
+    for file in files
+        .into_iter()
+        .chain([root().join("tests/arms/ur5e.toml")])
+    {
+        let place = boxed(&file);
+        let (described, arm) = arm(&place.path("arm.toml"));
+        let postures = postures(&described, &mut random);
+        let judged: Vec<Distances> =
+            judged(&python, "coal_judge.py", &place.path("arm.toml"), &postures);
+        assert_eq!(judged.len(), POSTURES);
+        let (mut apart, mut count, mut near) = (0.0_f64, 0, 0);
+        for (posture, judged) in postures.iter().zip(judged) {
+            let mut q = Joints::zeros();
+            q.iter_mut().zip(posture).for_each(|(to, from)| *to = *from);
+            let mut ours = Distances::new();
+            for (pair, distance) in arm.distances(&q) {
+                let name = |k: u8| described.shape_links[usize::from(k)].as_str();
+                let other = match pair.other {
+                    Other::Link(k) => name(k),
+                    Other::Box(k) => described.box_names[usize::from(k)].as_str(),
+                    Other::Wall(_) => continue,
+                };
+                let key = format!("{} {other}", name(pair.shape));
+                let least = ours.entry(key).or_insert(f64::INFINITY);
+                *least = least.min(distance);
+            }
+            for (key, ours) in ours {
+                // Where axes touch, both know only that bodies overlap.
+                let theirs = judged[&key];
+                if theirs > 0.0 || ours > 0.0 {
+                    apart = apart.max((ours - theirs).abs());
+                    near += usize::from(ours < 0.1);
+                }
+                count += 1;
+            }
+        }
+        tell(format!(
+            "{}: {count} distances, {near} of them below 10 cm: to {apart:.0e} m",
+            file.display()
+        ));
+        assert!(near > 100, "{near}");
+        assert!(apart < SEPARATION, "{apart}");
     }
 }
 

@@ -234,8 +234,12 @@ enum vpc_arm_bound {
     VPC_ARM_BOUND_SPEED = 2,
     // The posture is nearly singular.
     VPC_ARM_BOUND_SINGULARITY = 3,
-    // The camera, or a point of the arm, is at a wall.
+    // The camera, a point of the arm or a link is at a wall.
     VPC_ARM_BOUND_WALL = 4,
+    // A link is near another one.
+    VPC_ARM_BOUND_LINK = 5,
+    // A link is near a box.
+    VPC_ARM_BOUND_BOX = 6,
 };
 
 // What an operator asks for.
@@ -541,7 +545,8 @@ typedef struct {
     uint32_t predicted;
     // What of the arm binds the law's command. Code: vpc_arm_bound.
     uint32_t arm_bound;
-    // Index of that joint, base to flange, or of that wall, from 0.
+    // Index of that joint, base to flange, wall, box or link's shape, from 0; where a link's shape
+    // is near it, plus 256 times that shape's number, from 1.
     uint32_t arm_bound_index;
     // Velocity of the arm's elbow that was sent. Unit: rad/s.
     double elbow;

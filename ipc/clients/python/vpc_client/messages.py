@@ -225,8 +225,12 @@ class ArmBound(Code):
     SPEED = 2, "joint speed"
     # The posture is nearly singular.
     SINGULARITY = 3, "singularity"
-    # The camera, or a point of the arm, is at a wall.
+    # The camera, a point of the arm or a link is at a wall.
     WALL = 4, "wall"
+    # A link is near another one.
+    LINK = 5, "link"
+    # A link is near a box.
+    BOX = 6, "box"
 
 
 class Action(Code):
@@ -606,7 +610,8 @@ class CycleRecord(Message):
         ("predicted", ctypes.c_uint32),
         # What of the arm binds the law's command. Code: `ArmBound`.
         ("arm_bound", ctypes.c_uint32),
-        # Index of that joint, base to flange, or of that wall, from 0.
+        # Index of that joint, base to flange, wall, box or link's shape, from 0; where a link's
+        # shape is near it, plus 256 times that shape's number, from 1.
         ("arm_bound_index", ctypes.c_uint32),
         # Velocity of the arm's elbow that was sent. Unit: rad/s.
         ("elbow", ctypes.c_double),
