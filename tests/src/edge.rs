@@ -297,7 +297,7 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let path = testkit::root().join("tests/scenes/reach.toml");
         let scene = Scene::read(&path).unwrap();
-        let mut arm = vpc::arm::of(scene.arm.as_ref().unwrap());
+        let mut arm = Arm::from(scene.arm.as_ref().unwrap());
         let mut search = |arm: &Arm, elbow| Goal::search(&scene, arm, elbow, &mut random);
         assert_eq!(search(&arm, 0.0), Goal::ElbowHeld);
         assert_eq!(search(&arm, 1.3), Goal::ElbowMoved);

@@ -149,7 +149,7 @@ pub fn table(
         believed.arm = None;
     }
     let rule = flags.servo_rule.then(ServoRule::new);
-    let known = scene.arm.as_ref().map(vpc::arm::of);
+    let known = scene.arm.as_ref().map(arm::Arm::from);
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {

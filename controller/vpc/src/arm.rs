@@ -14,9 +14,7 @@
 //! | P | `PX` | weight of a damper against a clearance in the image |
 
 pub use ::arm::Cause;
-use ::arm::description::{MAX_POINTS, MAX_WALLS};
-use ::arm::{Arm, Bound, Chain, Dampers, JOINTS, JointLimits, Joints, Limits, Pose, Screw, Wall};
-use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3};
+use ::arm::{Arm, Bound, Dampers, JOINTS, Joints};
 use serde::{Deserialize, Serialize};
 
 use crate::{DOF, Twist};
@@ -29,41 +27,6 @@ const PX: f64 = 1000.0;
 /// would take of it. Commands that a damper stops leave at most 0.002, by the solver's accuracy,
 /// and a camera that waits at a bound comes nearer without end; few others leave less than 0.02.
 const NEAR: f64 = 0.01;
-
-/// The arm of a scene; its chain ends at the camera.
-pub fn of(scene: &scene::Arm) -> Arm {
-    let screws = scene.joints.iter().map(|joint| Screw {
-        axis: joint.axis.into(),
-        point: joint.point.into(),
-        slides: joint.slides,
-    });
-    let screws: heapless::Vec<Screw, JOINTS> = screws.collect();
-    let rows = scene.rotation.map(RowVector3::from);
-    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
-    let camera = Pose::from_parts(Translation3::from(scene.translation), rotation);
-    let mut limits = [JointLimits::NONE; JOINTS];
-    for (to, from) in limits.iter_mut().zip(&scene.joints) {
-        *to = JointLimits::new(from.range, from.velocity, from.acceleration);
-    }
-    let walls = scene.walls.iter().map(|wall| Wall {
-        normal: wall.normal,
-        offset: wall.offset,
-    });
-    let points = core::iter::once([0.0; 3]).chain(scene.points.iter().copied());
-    Arm {
-        chain: Chain::new(&screws, camera),
-        shaped: Chain::new(&screws, Translation3::from(scene.end_effector).into()),
-        limits: Limits(limits),
-        margin: scene.margin,
-        speed: scene.speed,
-        strain: scene.strain,
-        walls: walls.collect(),
-        points: points.collect(),
-    }
-}
-
-const _: () = assert!(JOINTS == scene::MAX_JOINTS);
-const _: () = assert!(MAX_WALLS == scene::MAX_WALLS && MAX_POINTS == scene::MAX_WALL_POINTS + 1);
 
 /// Where an arm's joints were. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

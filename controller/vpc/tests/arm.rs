@@ -27,7 +27,7 @@ fn scene(knows_arm: bool) -> Scene {
 
 /// The arm of the scene.
 fn panda() -> Arm {
-    vpc::arm::of(&scene(true).arm.unwrap())
+    Arm::from(&scene(true).arm.unwrap())
 }
 
 fn law(scene: &Scene, strategy: Strategy) -> Law<Vec<f64>> {

@@ -1,14 +1,15 @@
 //! The description of an arm that carries a camera.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3, Vector3};
 
-use crate::kinematics::Chain;
-use crate::limits::Limits;
+use crate::kinematics::{Chain, JOINTS, Pose, Screw};
+use crate::limits::{JointLimits, Limits};
 
 /// Most walls of a workspace.
-pub const MAX_WALLS: usize = 8;
-/// Most points that keep off them.
-pub const MAX_POINTS: usize = 4;
+pub const MAX_WALLS: usize = scene::MAX_WALLS;
+/// Most points that keep off them: the camera's origin and the scene's.
+pub const MAX_POINTS: usize = scene::MAX_WALL_POINTS + 1;
+const _: () = assert!(JOINTS == scene::MAX_JOINTS);
 
 /// An arm that carries a camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,6 +31,39 @@ pub struct Arm {
     pub walls: heapless::Vec<Wall, MAX_WALLS>,
     /// Points that keep off the walls, along camera axes from the camera, m.
     pub points: heapless::Vec<[f64; 3], MAX_POINTS>,
+}
+
+impl From<&scene::Arm> for Arm {
+    fn from(arm: &scene::Arm) -> Self {
+        let screws = arm.joints.iter().map(|joint| Screw {
+            axis: joint.axis.into(),
+            point: joint.point.into(),
+            slides: joint.slides,
+        });
+        let screws: heapless::Vec<Screw, JOINTS> = screws.collect();
+        let rows = arm.rotation.map(RowVector3::from);
+        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
+        let camera = Pose::from_parts(Translation3::from(arm.translation), rotation);
+        let mut limits = [JointLimits::NONE; JOINTS];
+        for (to, from) in limits.iter_mut().zip(&arm.joints) {
+            *to = JointLimits::new(from.range, from.velocity, from.acceleration);
+        }
+        let walls = arm.walls.iter().map(|wall| Wall {
+            normal: wall.normal,
+            offset: wall.offset,
+        });
+        let points = core::iter::once([0.0; 3]).chain(arm.points.iter().copied());
+        Self {
+            chain: Chain::new(&screws, camera),
+            shaped: Chain::new(&screws, Translation3::from(arm.end_effector).into()),
+            limits: Limits(limits),
+            margin: arm.margin,
+            speed: arm.speed,
+            strain: arm.strain,
+            walls: walls.collect(),
+            points: points.collect(),
+        }
+    }
 }
 
 /// A wall: points stay on the side that its normal shows to.

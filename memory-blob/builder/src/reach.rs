@@ -26,7 +26,7 @@ impl Reach {
     /// joints at the goal.
     pub fn of(scene: &Scene) -> Option<Self> {
         let described = scene.arm.as_ref().filter(|arm| !arm.goal.is_empty())?;
-        let arm = vpc::arm::of(described);
+        let arm = Arm::from(described);
         let mut goal = Joints::zeros();
         goal.iter_mut()
             .zip(&described.goal)

@@ -2,9 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use arm::{Caps, Chain, Joints, Model, Mount, Pose, Reserve};
+use arm::{Arm, Caps, Chain, Joints, Model, Mount, Pose, Reserve};
 use clap::{ArgMatches, Args, Parser, ValueEnum};
-use nalgebra::{Matrix3, Rotation3, RowVector3, Vector3};
 use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -242,10 +241,9 @@ fn agrees(
     if hand_eye.frame == Frame::Flange {
         let flange = Chain::FRANKA.pose(&Joints::zeros());
         let camera = flange * hand_eye.mount(&Pose::identity()).flange_from_camera;
-        let rows = arm.rotation.map(RowVector3::from);
-        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
-        let apart_m = (camera.translation.vector - Vector3::from(arm.translation)).norm();
-        let apart_rad = camera.rotation.angle_to(&rotation);
+        let theirs = Arm::from(arm).chain.pose(&Joints::zeros());
+        let apart_m = (camera.translation.vector - theirs.translation.vector).norm();
+        let apart_rad = camera.rotation.angle_to(&theirs.rotation);
         if apart_m > APART || apart_rad > APART {
             let (path, mm) = (file.display(), 1e3 * apart_m);
             let found = format!("{path}, {mm:.1} mm and {apart_rad:.3} rad from there");
