@@ -10,7 +10,7 @@
 //! | dq1 = -lambda J^+ e | `first` | the visual task, rad/s |
 //! | P | [`projector`] | the large projection operator |
 //! | dq2 | | the secondary task, a part for each joint near an end |
-//! | rho, rho1, lambda_i | [`RHO`], [`RHO_1`], [`MORE`] | tuning of the zones and of their push |
+//! | rho, rho1, lambda_i | [`RHO`], [`RHO_1`], [`MORE`] | zones and push, ViSP's defaults |
 //!
 //! Source: M. Marey and F. Chaumette, "A new large projection operator for the redundancy
 //! framework", ICRA 2010, Eq. 24; "New strategies for avoiding robot joint limits: application to
