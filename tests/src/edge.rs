@@ -6,7 +6,7 @@ use hw_sim::camera::project;
 use hw_sim::pose::{from_scene, to_scene};
 use hw_sim::referee::Referee;
 use hw_sim::robot::arm::{ArmSettings, base_from_object};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
@@ -89,7 +89,9 @@ fn solved(chain: &Chain, mut q: Joints, wanted: &arm::Pose, is_held: bool) -> Op
     for _ in 0..STEPS {
         let (at, mut jacobian) = chain.at(&q);
         let apart = wanted.translation.vector - at.translation.vector;
-        let turn = (wanted.rotation * at.rotation.inverse()).scaled_axis();
+        // The angle of a rotation matrix is NaN where rounding takes its trace past 3.
+        let turn = wanted.rotation * at.rotation.inverse();
+        let turn = UnitQuaternion::from_rotation_matrix(&turn).scaled_axis();
         let error = arm::Twist::new(apart.x, apart.y, apart.z, turn.x, turn.y, turn.z);
         if error.norm() < 1e-9 {
             return Some(q);
@@ -301,7 +303,7 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let path = testkit::root().join("tests/scenes/reach.toml");
         let scene = Scene::read(&path).unwrap();
-        let mut arm = vpc::arm::of(scene.arm.as_ref().unwrap());
+        let mut arm = Arm::from(scene.arm.as_ref().unwrap());
         let mut search = |arm: &Arm, elbow| Goal::search(&scene, arm, elbow, &mut random);
         assert_eq!(search(&arm, 0.0), Goal::ElbowHeld);
         assert_eq!(search(&arm, 1.3), Goal::ElbowMoved);

@@ -202,6 +202,10 @@ pub struct RobotFlags {
     /// condition number, and stops at the joints' ends.
     #[arg(long)]
     pub servo_rule: bool,
+    /// A row more: ViSP's joint-limit task on classic visual servoing, which commands the joints of
+    /// the scene's arm. Its calibration is true, its images have no noise.
+    #[arg(long, requires = "edge")]
+    pub joint_task: bool,
     /// Arm file, in place of the scene's: the law is told of it, and `--robot urdf` is such a one.
     #[arg(long, value_name = "FILE")]
     pub arm: Option<PathBuf>,

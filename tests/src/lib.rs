@@ -11,6 +11,7 @@ pub mod fci_table;
 pub mod film;
 pub mod flags;
 pub mod flaw;
+pub mod joint_task;
 pub mod laboratory;
 pub mod pictures;
 pub mod processes;

@@ -13,7 +13,6 @@ use vpc::Task;
 
 use crate::robot::{Reason, RobotRun, approach};
 use crate::run::Run;
-use crate::spec::Spec;
 
 /// Trajectories shown of a memory; more hide each other.
 const SHOWN_TRAJECTORIES: usize = 250;
@@ -160,11 +159,11 @@ pub fn comparison<'a, 'r, R: Draw + 'r>(
 }
 
 /// Runs side by side as they go on, until the last of those that arrive has arrived.
-pub fn animation<R: Draw>(scene: &Scene, task: &Task, runs: &[&(Spec, R)]) -> Animation {
+pub fn animation<R: Draw>(scene: &Scene, task: &Task, runs: &[&(String, R)]) -> Animation {
     let length = |drawn: &Drawn| drawn.path.len();
     let drawn: Vec<(bool, Drawn)> = runs
         .iter()
-        .map(|(spec, run)| (run.is_success(), run.drawn(&spec.to_string(), task)))
+        .map(|(name, run)| (run.is_success(), run.drawn(name, task)))
         .collect();
     let arrived = drawn.iter().filter(|(is_success, _)| *is_success);
     let longest = arrived.map(|(_, drawn)| length(drawn)).max();

@@ -17,12 +17,12 @@ use serde::Serialize;
 use vpc::Settings;
 
 use crate::column::{self, Column, Shown};
-use crate::edge::{self, Goal, ServoRule};
+use crate::edge::{self, Goal, ServoRule, Start};
 use crate::flags::{Common, RobotFlags};
+use crate::joint_task::JointTask;
 use crate::processes::slowed;
 use crate::robot::{Course, Reason, RobotRun, run};
 use crate::simulated::Simulated;
-use crate::spec::Spec;
 use crate::statistics::mean;
 
 /// A row.
@@ -133,7 +133,7 @@ pub fn table(
     flags: &RobotFlags,
     common: &Common,
     tick: &(dyn Fn() + Sync),
-) -> anyhow::Result<Vec<(Spec, Vec<RobotRun>)>> {
+) -> anyhow::Result<Vec<(String, Vec<RobotRun>)>> {
     flags.check(starts.len())?;
     let edges = flags
         .edge
@@ -149,7 +149,12 @@ pub fn table(
         believed.arm = None;
     }
     let rule = flags.servo_rule.then(ServoRule::new);
-    let known = scene.arm.as_ref().map(vpc::arm::of);
+    let known = scene.arm.as_ref().map(arm::Arm::from);
+    let goal = |start: usize, edge: Option<&Start>| {
+        let (edge, arm) = edge.zip(known.as_ref())?;
+        let mut random = ChaCha8Rng::seed_from_u64(start as u64);
+        Some(Goal::search(scene, arm, edge.q[edge::ELBOW], &mut random))
+    };
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));
         let work = |start: usize| {
@@ -166,28 +171,38 @@ pub fn table(
             let run = run(scene, &cell, course, &mut daemon, pose);
             tick();
             let mut run = run.with_context(|| format!("start {start}"))?;
-            run.goal = edge.zip(known.as_ref()).map(|(edge, arm)| {
-                let mut random = ChaCha8Rng::seed_from_u64(start as u64);
-                Goal::search(scene, arm, edge.q[edge::ELBOW], &mut random)
-            });
+            run.goal = goal(start, edge);
             Ok(run)
         };
         let runs: anyhow::Result<Vec<RobotRun>> =
             chosen.clone().into_par_iter().map(work).collect();
-        all.push((spec, runs?));
+        all.push((spec.to_string(), runs?));
+    }
+    if flags.joint_task {
+        let task = JointTask::new(scene).context("--joint-task goes with a scene with an arm")?;
+        let work = |start: usize| {
+            let cell = cell(scene, arm, flags, common, start);
+            let run = task.run(&cell, &edges[start]);
+            tick();
+            let mut run = run.with_context(|| format!("start {start}"))?;
+            run.goal = goal(start, edges.get(start));
+            Ok(run)
+        };
+        let runs: anyhow::Result<Vec<RobotRun>> = chosen.into_par_iter().map(work).collect();
+        all.push(("joint-limit task".to_owned(), runs?));
     }
     Ok(all)
 }
 
 /// The row of a strategy's runs, which shows how well they followed if it `is_following`.
-pub fn row(spec: Spec, runs: &[RobotRun], is_following: bool) -> RobotRow {
+pub fn row(strategy: &str, runs: &[RobotRun], is_following: bool) -> RobotRow {
     let count = runs.len().max(1) as f64;
     let because = |reason| runs.iter().filter(|run| run.reason == Some(reason)).count();
     let good = runs.iter().filter(|run| run.success);
     let followed = good.clone();
     let most = |share: fn(&RobotRun) -> f64| runs.iter().map(share).fold(0.0, f64::max);
     RobotRow {
-        strategy: spec.to_string(),
+        strategy: strategy.to_owned(),
         success_rate: runs.iter().filter(|run| run.success).count() as f64 / count,
         violations: because(Reason::Violation),
         markers_lost: because(Reason::MarkerLost),
@@ -231,7 +246,10 @@ pub const COLUMNS: [Column<RobotRow>; 17] = [
     Column::always("success", |row| {
         format!("{:.0} %", 100.0 * row.success_rate)
     }),
-    Column::always("cost", |row| format!("{:.4}", row.cost)),
+    Column::always("cost", |row| match row.cost.is_nan() {
+        true => "-".to_owned(),
+        false => format!("{:.4}", row.cost),
+    }),
     Column::always("arrival (s)", |row| column::seconds(row.arrived_s)),
     Column::always("failures", |row| {
         column::failures(&[
@@ -311,8 +329,8 @@ mod tests {
                 &common,
                 &|| (),
             );
-            let (spec, runs) = all.unwrap().remove(0);
-            let row = row(spec, &runs, false);
+            let (name, runs) = all.unwrap().remove(0);
+            let row = row(&name, &runs, false);
             assert_eq!(row.success_rate, 1.0, "{file}: {row:?}");
             assert_eq!((row.reflexes, row.limit_violations), (0, 0), "{file}");
             assert!(row.joint_shares[0] > 0.01, "{file}: {row:?}");

@@ -1,6 +1,6 @@
 //! Figures like the paper's, as SVG and PNG with the same content: each type's `canvas` draws it,
-//! [`Canvas::write`] writes both files. All points are pixels; nothing is projected here.
-//! Decisions: `README.md`.
+//! [`Canvas::write`] writes both files. Points are pixels, those of a [`Reach`] metres; nothing is
+//! projected here. Decisions: `README.md`.
 #![forbid(unsafe_code)]
 
 mod animation;
@@ -13,6 +13,7 @@ mod latency;
 mod output;
 mod photo;
 mod preview;
+mod reach;
 mod samples;
 mod velocity;
 mod view;
@@ -26,6 +27,7 @@ pub use latency::{Latency, Times};
 pub use output::FigureError;
 pub use photo::Photo;
 pub use preview::{Offender, Preview, Seen};
+pub use reach::Reach;
 pub use samples::Samples;
 pub use velocity::Velocity;
 pub use view::View;

@@ -28,4 +28,3 @@ pub use record::{Options, RecordError, record};
 pub use recorder::Recorder;
 pub use report::{Report, StageTimes};
 pub use views::Viewed;
-pub use world::chain;

@@ -17,7 +17,7 @@ use crate::joint_bars::bars;
 use crate::scenery::CAMERA;
 use crate::view_writer::ViewWriter;
 use crate::world::{
-    BASE, FLANGE, OBJECT, arm, base_from_flange, chain, foreseen, isometry, known_arm, pose,
+    BASE, FLANGE, OBJECT, arm, base_from_flange, foreseen, isometry, known_arm, pose,
 };
 
 /// A message that Foxglove is to show somehow.
@@ -73,7 +73,7 @@ impl Viewed for RobotState {
             && let Some(known) = &scene.arm
             && known.joints.len() == self.joints as usize
         {
-            let base = isometry(&chain(known).pose(&self.q.into())).inverse();
+            let base = isometry(&arm::Arm::from(known).chain.pose(&self.q.into())).inverse();
             transform(to, &self.stamp, [CAMERA, BASE], &base)?;
             to.draw("/world/arm", &self.stamp, |at| known_arm(known, self.q, at))?;
             let bound = to.bound;

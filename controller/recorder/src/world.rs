@@ -4,7 +4,7 @@
 
 use std::f64::consts::PI;
 
-use arm::{Chain, Joints, Screw};
+use arm::{Arm, Chain, Joints};
 use foxglove::messages::{
     Color, CubePrimitive, Duration, LinePrimitive, Point3, Pose, SceneEntity, SceneUpdate,
     SpherePrimitive, TextPrimitive, Timestamp, Vector3, line_primitive::Type,
@@ -111,28 +111,13 @@ fn drawn(places: Vec<[f64; 3]>, at: Option<Timestamp>) -> SceneEntity {
     entity
 }
 
-/// The kinematics of a scene's arm; its chain ends at the camera.
-pub fn chain(arm: &scene::Arm) -> Chain {
-    let screws = arm.joints.iter().map(|joint| Screw {
-        axis: joint.axis.into(),
-        point: joint.point.into(),
-        slides: joint.slides,
-    });
-    let rotation = Matrix3::from_rows(&arm.rotation.map(RowVector3::from));
-    let camera = arm::Pose::from_parts(
-        Translation3::from(arm.translation),
-        Rotation3::from_matrix_unchecked(rotation),
-    );
-    Chain::new(&screws.collect::<Vec<_>>(), camera)
-}
-
 /// A scene's arm at these joint positions, up to its camera, and its walls and boxes, in the base.
 pub(crate) fn known_arm(
     known: &scene::Arm,
     q: [f64; arm::JOINTS],
     at: Option<Timestamp>,
 ) -> SceneUpdate {
-    let places = chain(known).places(&Joints::from(q));
+    let places = Arm::from(known).chain.places(&Joints::from(q));
     let count = known.joints.len();
     let [first @ .., camera] = places;
     let places = first.into_iter().take(count + 1).chain([camera]);

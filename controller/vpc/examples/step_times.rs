@@ -9,7 +9,7 @@ use std::hint::black_box;
 use std::path::Path;
 use std::time::Instant;
 
-use arm::{Joints, READY};
+use arm::{Arm, Joints, READY};
 use memory_blob::MemoryFile;
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
@@ -139,7 +139,7 @@ struct Seen {
 fn seen(scene: &Scene, law: &mut Law<Vec<f64>>, start: &Pose) -> Vec<Seen> {
     law.reset();
     let mut points = placed(scene, start);
-    let arm = scene.arm.as_ref().map(vpc::arm::of);
+    let arm = scene.arm.as_ref().map(Arm::from);
     let mut q = Joints::from(READY);
     let mut seen = Vec::new();
     for _ in 0..(scene.success.time_s * scene.camera.rate_hz) as usize {

@@ -14,14 +14,8 @@
 //! | c = P (b - g v) | `clearance_px` | its clearance as the solver has it, px |
 //! | P | `PX` | weight of a damper against a clearance in the image |
 
-use ::arm::collision::{MAX_BOXES, MAX_CAPSULES, MAX_PAIRS};
-use ::arm::description::{MAX_POINTS, MAX_WALLS};
-use ::arm::{
-    Arm, Bound, Capsule, Chain, Cuboid, Dampers, JOINTS, JointLimits, Joints, Limits, Pose, Screw,
-    Shapes, Wall,
-};
+use ::arm::{Arm, Bound, Dampers, JOINTS, Joints};
 pub use ::arm::{Cause, Other, Pair};
-use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{DOF, Twist};
@@ -34,79 +28,6 @@ const PX: f64 = 1000.0;
 /// would take of it. Commands that a damper stops leave at most 0.002, by the solver's accuracy,
 /// and a camera that waits at a bound comes nearer without end; few others leave less than 0.02.
 const NEAR: f64 = 0.01;
-
-/// The arm of a scene; its chain ends at the camera.
-pub fn of(scene: &scene::Arm) -> Arm {
-    let screws = scene.joints.iter().map(|joint| Screw {
-        axis: joint.axis.into(),
-        point: joint.point.into(),
-        slides: joint.slides,
-    });
-    let screws: heapless::Vec<Screw, JOINTS> = screws.collect();
-    let camera = Pose::from_parts(
-        Translation3::from(scene.translation),
-        rotation(&scene.rotation),
-    );
-    let mut limits = [JointLimits::NONE; JOINTS];
-    for (to, from) in limits.iter_mut().zip(&scene.joints) {
-        *to = JointLimits::new(from.range, from.velocity, from.acceleration);
-    }
-    let walls = scene.walls.iter().map(|wall| Wall {
-        normal: wall.normal,
-        offset: wall.offset,
-    });
-    let points = core::iter::once([0.0; 3]).chain(scene.points.iter().copied());
-    Arm {
-        chain: Chain::new(&screws, camera),
-        shaped: Chain::new(&screws, Translation3::from(scene.end_effector).into()),
-        limits: Limits(limits),
-        margin: scene.margin,
-        speed: scene.speed,
-        strain: scene.strain,
-        is_elbow_free: scene.is_elbow_free,
-        walls: walls.collect(),
-        points: points.collect(),
-        shapes: shapes(scene),
-    }
-}
-
-/// Its links' shapes, what is about it, and which of them keep apart.
-fn shapes(scene: &scene::Arm) -> Shapes {
-    let capsules = scene.shapes.iter().map(|shape| Capsule {
-        ends: shape.ends.map(Vector3::from),
-        radius: shape.radius,
-        joints: shape.joints,
-    });
-    let boxes = scene.boxes.iter().map(|known| Cuboid {
-        center: known.center.into(),
-        rotation: rotation(&known.rotation),
-        half: known.half.into(),
-    });
-    let pairs = scene.pairs.iter().map(|pair| Pair {
-        shape: pair.shape,
-        other: match pair.other {
-            scene::Other::Link(index) => Other::Link(index),
-            scene::Other::Box(index) => Other::Box(index),
-            scene::Other::Wall(index) => Other::Wall(index),
-        },
-    });
-    Shapes {
-        capsules: capsules.collect(),
-        boxes: boxes.collect(),
-        pairs: pairs.collect(),
-        clearance: scene.clearance,
-    }
-}
-
-fn rotation(rows: &[[f64; 3]; 3]) -> Rotation3<f64> {
-    let rows = rows.map(RowVector3::from);
-    Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows))
-}
-
-const _: () = assert!(JOINTS == scene::MAX_JOINTS);
-const _: () = assert!(MAX_CAPSULES == scene::MAX_SHAPES && MAX_BOXES == scene::MAX_BOXES);
-const _: () = assert!(MAX_PAIRS == scene::MAX_PAIRS);
-const _: () = assert!(MAX_WALLS == scene::MAX_WALLS && MAX_POINTS == scene::MAX_WALL_POINTS + 1);
 
 /// Where an arm's joints were. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

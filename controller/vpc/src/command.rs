@@ -1,5 +1,7 @@
 //! The command of one period, and what it costs: of a cycle and of a simulated step alike.
 
+use ::arm::Dampers;
+
 use crate::cost;
 use crate::limit;
 use crate::prediction::{InitialState, Plan, repeated};
@@ -22,6 +24,8 @@ pub(crate) struct Present<'a> {
     pub warm: &'a Plan,
     /// Clearance kept from every border beside the settings', px.
     pub extra_px: f64,
+    /// What the arm allows of a command that is in force for `interval`, where it is known.
+    pub dampers: Option<&'a Dampers>,
 }
 
 /// The policy: predictive control towards a given target, one command at a time.
@@ -48,9 +52,9 @@ impl Policy<'_> {
             warm,
             interval,
             extra_px,
+            dampers,
             ..
         } = *present;
-        let dampers = self.task.dampers(initial.q.as_ref(), interval);
         let problem = Problem {
             task: self.task,
             initial,
@@ -60,7 +64,7 @@ impl Policy<'_> {
             standing: *present.standing,
             interval,
             margin: self.settings.margin_px + extra_px,
-            dampers: dampers.as_ref(),
+            dampers,
         };
         let braking = repeated(&problem.braking());
         let solution = solver.solve_from(&problem, &[*warm, braking]);

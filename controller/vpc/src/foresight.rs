@@ -636,12 +636,14 @@ impl Thinker<'_> {
             self.simulated += 1;
             let tracked = now.guide.advance(&initial.points, self.converged_px, 1.0);
             let aim = tracked.as_ref().unwrap_or(&task.goal);
+            let dampers = task.dampers(initial.q.as_ref(), task.ts);
             let present = Present {
                 initial: &initial,
                 standing: &now.standing,
                 interval: task.ts,
                 warm: &now.previous,
                 extra_px: self.extra_px,
+                dampers: dampers.as_ref(),
             };
             let (twist, solution, elbow) = policy.command(self.solver, &present, aim, aim);
             let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {

@@ -417,10 +417,17 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             error_px: features::largest_error(points, &self.task.goal),
             ..Step::default()
         };
+        let seconds = match self.settings.strategy {
+            // It does not look ahead: what is left must do for a stop.
+            Strategy::Ibvs => self.task.reach,
+            _ => self.task.period,
+        };
+        let dampers = self.task.dampers(initial.q.as_ref(), seconds);
+        let dampers = dampers.as_ref();
         let is_foresight = self.settings.strategy == Strategy::Foresight;
-        let stands = is_foresight && self.loses_patience(&initial, step.error_px, is_linked);
+        let stands = is_foresight && self.loses_patience(dampers, step.error_px, is_linked);
         match self.settings.strategy {
-            Strategy::Ibvs => self.servo(&initial, &mut step),
+            Strategy::Ibvs => self.servo(&initial, dampers, &mut step),
             Strategy::Foresight if stands => {
                 let (task, standing) = (&self.task, &self.state.standing);
                 step.stands = true;
@@ -435,7 +442,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                     step.asked = Asked::Followed;
                 }
                 let warm = self.state.previous;
-                self.plan(&initial, &warm, tracked, mismatch, &mut step);
+                self.plan(&initial, dampers, &warm, tracked, mismatch, &mut step);
             }
             Strategy::Previous | Strategy::Knn { .. } | Strategy::Gpr => {
                 let (recall, asked) = self.recall(points, clearance_px, memory);
@@ -445,12 +452,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 let warm = recall.as_ref().map(|recall| repeated(&against(recall)));
                 let warm = warm.unwrap_or(self.state.previous);
                 let tracked = recall.map(|recall| recall.way_point);
-                self.plan(&initial, &warm, tracked, mismatch, &mut step);
+                self.plan(&initial, dampers, &warm, tracked, mismatch, &mut step);
             }
         }
-        step.twist = self.slowed(&initial, &step.twist);
-        let dampers = self.dampers(&initial);
-        step.cause = arm::cause(dampers.as_ref(), &step.twist, &self.task.limits);
+        step.twist = self.slowed(&initial, dampers, &step.twist);
+        step.cause = arm::cause(dampers, &step.twist, &self.task.limits);
         step.elbow = dampers.map_or(0.0, |dampers| dampers.elbow);
         self.predict(&initial, &step.twist);
         let policy = Policy {
@@ -469,16 +475,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// Whether the camera is to stand, because no way is known and nothing has improved. What
     /// another twist than the law's did does not count. Near the goal there is hope, unless the
     /// arm goes no farther.
-    fn loses_patience(&mut self, initial: &InitialState, error_px: f64, is_linked: bool) -> bool {
+    fn loses_patience(
+        &mut self,
+        dampers: Option<&Dampers>,
+        error_px: f64,
+        is_linked: bool,
+    ) -> bool {
         let is_near = error_px < FAR * self.converged_px;
         let is_held_up = is_near
             && error_px >= self.converged_px
-            && arm::cause(
-                self.dampers(initial).as_ref(),
-                &self.state.standing,
-                &self.task.limits,
-            )
-            .is_some();
+            && arm::cause(dampers, &self.state.standing, &self.task.limits).is_some();
         let State {
             foresight,
             patience,
@@ -804,13 +810,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
 
     /// The classic law, scaled as a whole into the limits of velocity, its change into those of
     /// acceleration.
-    fn servo(&mut self, initial: &InitialState, step: &mut Step) {
+    fn servo(&mut self, initial: &InitialState, dampers: Option<&Dampers>, step: &mut Step) {
         match ibvs::twist(&self.task, initial, self.settings.lambda) {
             Some(twist) => {
                 let (task, standing) = (&self.task, &self.state.standing);
                 let twist = limit::scale(&twist, &task.limits);
-                let dampers = task.dampers(initial.q.as_ref(), task.reach);
-                let twist = arm::within(dampers.as_ref(), &twist);
+                let twist = arm::within(dampers, &twist);
                 step.twist = limit::approach(&twist, standing, task, task.period);
             }
             None => step.status = Status::NumericalFailure,
@@ -838,6 +843,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     fn plan(
         &mut self,
         initial: &InitialState,
+        dampers: Option<&Dampers>,
         warm: &Plan,
         tracked: Option<Points>,
         mismatch: Option<&Points>,
@@ -858,6 +864,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             interval: self.task.period,
             warm,
             extra_px: self.back_off_px(initial),
+            dampers,
         };
         let Some(mut solver) = self.share.solver(&self.settings, self.workspace.as_mut()) else {
             step.status = Status::NumericalFailure;
@@ -875,27 +882,17 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 
     /// The command, slowed down against the pattern as certainty of hidden points falls.
-    fn slowed(&self, initial: &InitialState, twist: &Twist) -> Twist {
+    fn slowed(&self, initial: &InitialState, dampers: Option<&Dampers>, twist: &Twist) -> Twist {
         let deviation_px = self.state.blind.deviation_px;
         if deviation_px == 0.0 {
             return *twist;
         }
         let unsure = (deviation_px / blind::most_px(&self.task)).min(1.0);
-        let dampers = self.task.dampers(initial.q.as_ref(), self.task.period);
-        let with = arm::within(dampers.as_ref(), &initial.drift.twist);
+        let with = arm::within(dampers, &initial.drift.twist);
         let mut slower = *twist;
         let pairs = slower.iter_mut().zip(with);
         pairs.for_each(|(v, with)| *v -= unsure * (*v - with));
         limit::approach(&slower, &self.state.standing, &self.task, self.task.period)
-    }
-
-    /// What the arm allows of the next command.
-    fn dampers(&self, initial: &InitialState) -> Option<Dampers> {
-        let seconds = match self.settings.strategy {
-            Strategy::Ibvs => self.task.reach,
-            _ => self.task.period,
-        };
-        self.task.dampers(initial.q.as_ref(), seconds)
     }
 
     /// Clearance kept from every border beside the settings': for hidden points, and for what is not

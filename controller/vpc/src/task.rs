@@ -8,7 +8,7 @@ use scene::{Area, Camera, Cost, MAX_AREAS, Part, Pose, Scene};
 
 use crate::features::{self, Points};
 use crate::obstacle::Obstacle;
-use crate::{MAX_POINTS, Twist, arm, camera, motion};
+use crate::{MAX_POINTS, Twist, camera, motion};
 
 /// Most parts of all occlusions together.
 pub const MAX_ALL_PARTS: usize = 48;
@@ -121,7 +121,7 @@ impl Task {
             ts: scene.sampling_time(),
             reach: scene.sampling_time(),
             half_diagonal: scene.camera.fx.max(scene.camera.fy) * scene.marker_size * FRAC_1_SQRT_2,
-            arm: scene.arm.as_ref().map(arm::of),
+            arm: scene.arm.as_ref().map(Arm::from),
             boxes: heapless::Vec::new(),
         };
         task.boxes = task.obstacles().map(Obstacle::bounding_box).collect();

@@ -27,7 +27,7 @@ fn scene(knows_arm: bool) -> Scene {
 
 /// The arm of the scene.
 fn panda() -> Arm {
-    vpc::arm::of(&scene(true).arm.unwrap())
+    Arm::from(&scene(true).arm.unwrap())
 }
 
 fn law(scene: &Scene, strategy: Strategy) -> Law<Vec<f64>> {
@@ -380,7 +380,7 @@ fn a_way_that_presses_a_link_into_a_box_or_wall_ends_at_the_clearance_and_tells_
             other,
         });
         known.pairs.extend(pairs);
-        let (arm, clearance) = (vpc::arm::of(known), known.clearance);
+        let (arm, clearance) = (arm::Arm::from(&*known), known.clearance);
         let object = camera * Translation3::new(0.0, 0.0, 0.1) * goal(&scene);
         let mut law = law(&scene, Strategy::Foresight);
         let mut q = Joints::from(READY);

@@ -26,11 +26,11 @@ use crate::description::{Arm, Wall};
 use crate::kinematics::{JOINTS, Jacobian, Joints, Pose};
 
 /// Most capsules of an arm.
-pub const MAX_CAPSULES: usize = 16;
+pub const MAX_CAPSULES: usize = scene::MAX_SHAPES;
 /// Most boxes about it.
-pub const MAX_BOXES: usize = 8;
+pub const MAX_BOXES: usize = scene::MAX_BOXES;
 /// Most pairs whose distances are kept.
-pub const MAX_PAIRS: usize = 128;
+pub const MAX_PAIRS: usize = scene::MAX_PAIRS;
 /// Pairs that bound a motion at once: the nearest.
 pub const NEAREST: usize = 8;
 /// Most rows of these.

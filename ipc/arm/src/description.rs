@@ -1,15 +1,17 @@
 //! The description of an arm that carries a camera.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3, Vector3};
 
-use crate::collision::Shapes;
-use crate::kinematics::Chain;
-use crate::limits::Limits;
+use crate::capsule::{Capsule, Cuboid};
+use crate::collision::{Other, Pair, Shapes};
+use crate::kinematics::{Chain, JOINTS, Pose, Screw};
+use crate::limits::{JointLimits, Limits};
 
 /// Most walls of a workspace.
-pub const MAX_WALLS: usize = 8;
-/// Most points that keep off them.
-pub const MAX_POINTS: usize = 4;
+pub const MAX_WALLS: usize = scene::MAX_WALLS;
+/// Most points that keep off them: the camera's origin and the scene's.
+pub const MAX_POINTS: usize = scene::MAX_WALL_POINTS + 1;
+const _: () = assert!(JOINTS == scene::MAX_JOINTS);
 
 /// An arm that carries a camera.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,6 +37,72 @@ pub struct Arm {
     pub points: heapless::Vec<[f64; 3], MAX_POINTS>,
     /// Links that keep off each other, boxes and walls.
     pub shapes: Shapes,
+}
+
+impl From<&scene::Arm> for Arm {
+    fn from(arm: &scene::Arm) -> Self {
+        let screws = arm.joints.iter().map(|joint| Screw {
+            axis: joint.axis.into(),
+            point: joint.point.into(),
+            slides: joint.slides,
+        });
+        let screws: heapless::Vec<Screw, JOINTS> = screws.collect();
+        let camera = Pose::from_parts(Translation3::from(arm.translation), rotation(&arm.rotation));
+        let mut limits = [JointLimits::NONE; JOINTS];
+        for (to, from) in limits.iter_mut().zip(&arm.joints) {
+            *to = JointLimits::new(from.range, from.velocity, from.acceleration);
+        }
+        let walls = arm.walls.iter().map(|wall| Wall {
+            normal: wall.normal,
+            offset: wall.offset,
+        });
+        let points = core::iter::once([0.0; 3]).chain(arm.points.iter().copied());
+        Self {
+            chain: Chain::new(&screws, camera),
+            shaped: Chain::new(&screws, Translation3::from(arm.end_effector).into()),
+            limits: Limits(limits),
+            margin: arm.margin,
+            speed: arm.speed,
+            strain: arm.strain,
+            is_elbow_free: arm.is_elbow_free,
+            walls: walls.collect(),
+            points: points.collect(),
+            shapes: shapes(arm),
+        }
+    }
+}
+
+/// Its links' shapes, what is about it, and which of them keep apart.
+fn shapes(arm: &scene::Arm) -> Shapes {
+    let capsules = arm.shapes.iter().map(|shape| Capsule {
+        ends: shape.ends.map(Vector3::from),
+        radius: shape.radius,
+        joints: shape.joints,
+    });
+    let boxes = arm.boxes.iter().map(|known| Cuboid {
+        center: known.center.into(),
+        rotation: rotation(&known.rotation),
+        half: known.half.into(),
+    });
+    let pairs = arm.pairs.iter().map(|pair| Pair {
+        shape: pair.shape,
+        other: match pair.other {
+            scene::Other::Link(index) => Other::Link(index),
+            scene::Other::Box(index) => Other::Box(index),
+            scene::Other::Wall(index) => Other::Wall(index),
+        },
+    });
+    Shapes {
+        capsules: capsules.collect(),
+        boxes: boxes.collect(),
+        pairs: pairs.collect(),
+        clearance: arm.clearance,
+    }
+}
+
+fn rotation(rows: &[[f64; 3]; 3]) -> Rotation3<f64> {
+    let rows = rows.map(RowVector3::from);
+    Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows))
 }
 
 /// A wall: points stay on the side that its normal shows to.

@@ -3,12 +3,14 @@
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
-//! | s | [`free`](crate::ik::free) | joint velocities as the elbow turns at 1 rad/s and the camera stands |
+//! | s | [`elbow`](crate::ik::elbow) | joint velocities as the elbow turns at 1 rad/s and the camera stands |
 //! | w | [`rate`] | velocity of the elbow, rad/s |
-//! | c_k | `crowding` | how near joint k is to an end of its range, 0 to 1, signed away from it |
-//! | e | `strain` | nearness to a singular posture |
+//! | c_k | `crowding` | how near joint k is to an end of its range, -1 to 1, positive at the lower one |
+//! | P | `PUSH` | velocity that an end asks for |
+//! | e, e_0, E | `strain`, `STRAINED`, `EASE` | nearness to a singular posture; from where, how much |
 //!
-//! w = s . (sum_k c_k^2 - E grad e), no faster than [`FASTEST`].
+//! w = s . (P c - E (e - e_0) grad e) / |s|^2, e above e_0, no faster than [`FASTEST`]; the greatest
+//! gradient counts as 1/rad.
 //!
 //! Source: A. Liegeois, "Automatic supervisory control of the configuration and behavior of
 //! multibody mechanisms", IEEE SMC 7(12), 1977.
@@ -29,7 +31,8 @@ const STRAINED: f64 = 0.4;
 /// Velocity that a unit of strain above this asks for per unit of its gradient, rad/s.
 const EASE: f64 = 0.5;
 
-/// The velocity of the elbow, rad/s, along its free direction, with the strain and its gradient.
+/// The velocity of the elbow, rad/s: `free` is s, `gradient` that of the strain by each joint, 1/rad.
+/// Zero where these are not finite.
 pub(crate) fn rate(
     limits: &Limits,
     margin: f64,
@@ -44,9 +47,12 @@ pub(crate) fn rate(
     }
     let along = free / length;
     let away = Joints::from_fn(|k, _| crowding(limits, margin, q, k));
-    let excess = (strain - STRAINED).max(0.0).min(1.0);
+    let excess = (strain - STRAINED).clamp(0.0, 1.0);
     let wanted = PUSH * along.dot(&away) - EASE * excess * (gradient * along)[0].clamp(-1.0, 1.0);
-    (wanted / length).clamp(-FASTEST, FASTEST)
+    match wanted.is_finite() {
+        true => (wanted / length).clamp(-FASTEST, FASTEST),
+        false => 0.0,
+    }
 }
 
 /// How near a joint is to an end of its range, squared, signed away from it; zero but in the

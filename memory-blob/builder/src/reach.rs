@@ -1,7 +1,7 @@
 //! Which starts an arm can reach from the goal, with its elbow held, as the law moves it.
 
 use arm::{Arm, Dampers, Joints};
-use nalgebra::{Rotation3, Translation3, Vector3};
+use nalgebra::{Rotation3, Translation3, UnitQuaternion, Vector3};
 use scene::{Pose, Scene};
 
 /// Steps of the way to a start.
@@ -26,7 +26,7 @@ impl Reach {
     /// joints at the goal.
     pub fn of(scene: &Scene) -> Option<Self> {
         let described = scene.arm.as_ref().filter(|arm| !arm.goal.is_empty())?;
-        let arm = vpc::arm::of(described);
+        let arm = Arm::from(described);
         let mut goal = Joints::zeros();
         goal.iter_mut()
             .zip(&described.goal)
@@ -40,14 +40,35 @@ impl Reach {
         })
     }
 
+    /// The object in the base.
+    pub fn object(&self) -> &arm::Pose {
+        &self.base_from_object
+    }
+
+    /// The arm at the goal: origins of base, joints and camera in the base, m.
+    pub fn places(&self) -> impl Iterator<Item = Vector3<f64>> {
+        let [joints @ .., camera] = self.arm.chain.places(&self.goal);
+        let count = self.arm.chain.count();
+        joints.into_iter().take(count + 1).chain([camera])
+    }
+
+    /// The camera in the base where it sees the object at this pose.
+    pub fn camera(&self, start: &Pose) -> arm::Pose {
+        self.base_from_object * rigid(start).inverse()
+    }
+
     /// Whether the camera can be where it sees the object at this pose: on a straight way there,
     /// at an even turn, no joint comes into the margin of its range, no point behind a wall, no
     /// link into its clearance, and the arm near no singular posture.
     pub fn includes(&self, start: &Pose) -> bool {
-        let wanted = self.base_from_object * rigid(start).inverse();
+        self.includes_camera(&self.camera(start))
+    }
+
+    /// The same of a pose of the camera in the base.
+    pub fn includes_camera(&self, wanted: &arm::Pose) -> bool {
         let mut q = self.goal;
         for left in (1..=STEPS).rev() {
-            let step = self.to(&q, &wanted).map(|x| x / f64::from(left));
+            let step = self.to(&q, wanted).map(|x| x / f64::from(left));
             q = self.arm.moved(&q, &step, 0.0, 1.0);
             let dampers = Dampers::at(&self.arm, &q, &self.accelerations, self.period_s);
             // Where nothing is left, nothing is allowed.
@@ -55,14 +76,16 @@ impl Reach {
                 return false;
             }
         }
-        self.to(&q, &wanted).iter().all(|x| x.abs() < NEAR)
+        self.to(&q, wanted).iter().all(|x| x.abs() < NEAR)
     }
 
     /// The camera's motion to a pose, along its axes, m and rad.
     fn to(&self, q: &Joints, wanted: &arm::Pose) -> [f64; 6] {
         let camera = self.arm.chain.pose(q);
         let apart = camera.inverse() * wanted;
-        let (linear, angular) = (apart.translation.vector, apart.rotation.scaled_axis());
+        // The angle of a rotation matrix is NaN where rounding takes its trace past 3.
+        let turn = UnitQuaternion::from_rotation_matrix(&apart.rotation);
+        let (linear, angular) = (apart.translation.vector, turn.scaled_axis());
         [
             linear.x, linear.y, linear.z, angular.x, angular.y, angular.z,
         ]
@@ -111,6 +134,9 @@ mod tests {
         let includes = |way, roll| reach.includes(&moved(&scene, way, roll));
         assert!(includes([0.0; 3], 0.0));
         assert!(includes([0.1, 0.05, -0.1], 0.4));
+        let near = (1..200).map(|k| [0.1, 0.02, -0.05].map(|x| x * f64::from(k) / 200.0));
+        let all: Vec<_> = near.filter(|way| !includes(*way, 0.0)).collect();
+        assert!(all.is_empty(), "{all:?}");
         // Far away; up to where the arm is stretched; joint 7 to its end.
         assert!(!includes([0.0, -1.0, 0.0], 0.0));
         assert!(!includes([0.0, 0.0, -0.7], 0.0));

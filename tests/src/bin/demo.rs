@@ -224,7 +224,7 @@ impl<'a> Demo<'a> {
     }
 
     /// Runs the strategies with the camera that flies freely.
-    fn compare(&self) -> anyhow::Result<Vec<(Spec, run::Run)>> {
+    fn compare(&self) -> anyhow::Result<Vec<(String, run::Run)>> {
         let memory = self.memory()?;
         let mut runs = Vec::new();
         for text in ["previous:3", "gpr:3", "foresight:3"] {
@@ -232,13 +232,13 @@ impl<'a> Demo<'a> {
             let (memory, clock) = (Some(&memory), ClockMode::Fixed);
             let mut daemon = Simulated::new(&self.scene, memory, spec.settings(), clock)?;
             let start = &self.starts[self.start];
-            runs.push((spec, run::run(&self.scene, &mut daemon, start)));
+            runs.push((text.to_owned(), run::run(&self.scene, &mut daemon, start)));
         }
         Ok(runs)
     }
 
     /// Runs the strategies with the emulated robot.
-    fn compare_on_robot(&self) -> anyhow::Result<Vec<(Spec, system_tests::robot::RobotRun)>> {
+    fn compare_on_robot(&self) -> anyhow::Result<Vec<(String, system_tests::robot::RobotRun)>> {
         let flags = RobotFlags {
             only: Some(self.start),
             ..defaults()
@@ -263,7 +263,7 @@ impl<'a> Demo<'a> {
         )?;
         let runs = all
             .into_iter()
-            .flat_map(|(spec, runs)| runs.into_iter().map(move |run| (spec, run)));
+            .flat_map(|(name, runs)| runs.into_iter().map(move |run| (name.clone(), run)));
         Ok(runs.collect())
     }
 
@@ -273,11 +273,11 @@ impl<'a> Demo<'a> {
     }
 
     /// Draws the strategies side by side, the first and the last of them as a film, and the memory.
-    fn draw_strategies<R: Draw>(&self, runs: &[(Spec, R)], path: &Path) -> anyhow::Result<()> {
-        for (spec, run) in runs {
-            println!("  {}", run.drawn(&spec.to_string(), &self.task).title);
+    fn draw_strategies<R: Draw>(&self, runs: &[(String, R)], path: &Path) -> anyhow::Result<()> {
+        for (name, run) in runs {
+            println!("  {}", run.drawn(name, &self.task).title);
         }
-        let named = runs.iter().map(|(spec, run)| (spec, run));
+        let named = runs.iter().map(|(name, run)| (name, run));
         pictures::comparison(&self.scene, &self.task, named)
             .canvas()
             .write(path)?;

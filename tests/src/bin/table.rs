@@ -162,6 +162,7 @@ fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli,
     let panda_only = [
         (cli.arm.edge.is_some(), "edge"),
         (cli.arm.servo_rule, "servo-rule"),
+        (cli.arm.joint_task, "joint-task"),
         (cli.plots.is_some(), "plots"),
     ];
     let mut strange = panda_only.iter().filter(|(is_given, _)| *is_given);
@@ -403,7 +404,8 @@ fn on_robot(
     memory: Option<&MemoryFile>,
 ) -> anyhow::Result<()> {
     let count = cli.arm.only.map_or(starts.len(), |_| 1);
-    let bar = bar(cli.common.strategies.len() * count);
+    let rows = cli.common.strategies.len() + usize::from(cli.arm.joint_task);
+    let bar = bar(rows * count);
     let tick = || bar.inc(1);
     let arm = match (cli.robot, &scene.arm) {
         (Body::Urdf, None) => bail!("--robot urdf goes with --arm, or a scene that names an arm"),
@@ -414,7 +416,7 @@ fn on_robot(
     bar.finish_and_clear();
     let is_following = cli.common.is_following();
     let rows = all.iter();
-    let rows = rows.map(|(spec, runs)| robot_table::row(*spec, runs, is_following));
+    let rows = rows.map(|(name, runs)| robot_table::row(name, runs, is_following));
     let rows: Vec<_> = rows.collect();
     let text = column::markdown(&robot_table::COLUMNS, &rows, cli.wide);
     let first = cli.arm.only.unwrap_or(0);

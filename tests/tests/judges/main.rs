@@ -7,7 +7,7 @@ use std::io::Write;
 use std::path::Path;
 use std::process::Stdio;
 
-use arm::{Chain, JOINTS, Jacobian, Joints, Other, Pose};
+use arm::{Arm, Chain, JOINTS, Jacobian, Joints, Other, Pose};
 use nalgebra::{Matrix3, Rotation3, Translation3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -34,7 +34,7 @@ fn arm(file: &Path) -> (scene::Arm, arm::Arm) {
     let text = format!("arm = {:?}\n{}", file, scene::PAPER_ROBOT);
     let scene = Scene::read(&place.file("scene.toml", text)).unwrap();
     let described = scene.arm.unwrap();
-    let arm = vpc::arm::of(&described);
+    let arm = Arm::from(&described);
     (described, arm)
 }
 

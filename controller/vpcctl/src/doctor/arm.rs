@@ -3,7 +3,6 @@
 use arm::{Joints, Twist};
 use messages::RobotState;
 use nalgebra::Vector3;
-use recorder::chain;
 use scene::Arm;
 
 use super::Finding;
@@ -61,7 +60,7 @@ pub(super) fn examine(view: &View, now_ns: u64) -> Vec<Finding> {
 /// The camera's velocity as the robot tells it, against that of its joints by the arm file.
 fn velocity(arm: &Arm, robot: &RobotState) -> Option<Finding> {
     let (q, dq) = (Joints::from(robot.q), Joints::from(robot.dq));
-    let (camera, jacobian) = chain(arm).at(&q);
+    let (camera, jacobian) = arm::Arm::from(arm).chain.at(&q);
     let along_base: Twist = jacobian * dq;
     let by_joints = camera.rotation.inverse() * along_base.fixed_rows::<3>(0);
     let told = Vector3::new(robot.twist[0], robot.twist[1], robot.twist[2]);

@@ -2,9 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use arm::{Caps, Chain, Joints, Model, Mount, Pose, Reserve};
+use arm::{Arm, Caps, Chain, JOINTS, Joints, Model, Mount, Pose, Reserve};
 use clap::{ArgMatches, Args, Parser, ValueEnum};
-use nalgebra::{Matrix3, Rotation3, RowVector3, Vector3};
 use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -50,7 +49,7 @@ pub struct Arguments {
 /// Paths are relative to the file. Some keys have a flag, which wins.
 #[derive(Args, Clone, Debug, SmartDefault, Deserialize, Serialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-#[schemars(title = "vpc-panda", extend("required" = ["robot", "scene", "hand_eye"]))]
+#[schemars(title = "vpc-panda", extend("required" = ["robot", "scene"]))]
 pub struct Keys {
     /// Which robot, and the address of its control unit.
     #[arg(long)]
@@ -60,7 +59,8 @@ pub struct Keys {
     #[arg(long)]
     #[schemars(extend("x-allowed" = "a file; also by --scene"))]
     pub scene: Option<PathBuf>,
-    /// The hand-eye calibration: the camera on the flange.
+    /// The hand-eye calibration: the camera on the flange. Not needed where the scene names an arm,
+    /// whose file has the camera.
     #[arg(long)]
     #[schemars(extend("x-allowed" = "a file: TOML, or YAML of easy_handeye or OpenCV"))]
     pub hand_eye: Option<PathBuf>,
@@ -151,7 +151,8 @@ pub struct Config {
     pub robot: String,
     /// The scene of vpcd.
     pub scene: Scene,
-    /// The camera on the flange, or on the end effector.
+    /// The camera on the flange, or on the end effector; where the scene's arm file has it, if it
+    /// names one.
     pub hand_eye: HandEye,
     /// What the robot is commanded.
     pub interface: Interface,
@@ -194,16 +195,29 @@ impl Config {
             return Err(document.refuse("robot", &robot, allowed));
         };
         let scene = Scene::read(&keys.scene.unwrap_or_default())?;
-        let file = keys.hand_eye.unwrap_or_default();
-        let hand_eye = hand_eye::read(&file, keys.hand_eye_frame)?;
-        if let Some(arm) = &scene.arm {
-            let reserve = (keys.joint_margin, keys.joint_speed);
-            agrees(document, arm, &hand_eye, reserve, &file)?;
-            if arm.is_elbow_free && keys.interface == Interface::Cartesian {
-                let allowed = "joint: the elbow of the scene's arm is free";
-                return Err(document.refuse("interface", "cartesian", allowed));
+        let file = keys
+            .hand_eye
+            .as_deref()
+            .map(|file| (file, keys.hand_eye_frame));
+        let hand_eye = match (&scene.arm, file) {
+            (Some(arm), file) => {
+                let camera = mounted(document, arm, (keys.joint_margin, keys.joint_speed))?;
+                if arm.is_elbow_free && keys.interface == Interface::Cartesian {
+                    let allowed = "joint: the elbow of the scene's arm is free";
+                    return Err(document.refuse("interface", "cartesian", allowed));
+                }
+                file.map_or(Ok(()), |file| agrees(document, &camera, file))?;
+                HandEye {
+                    frame: Frame::Flange,
+                    camera,
+                }
             }
-        }
+            (None, Some((file, frame))) => hand_eye::read(file, frame)?,
+            (None, None) => {
+                let allowed = "a file, or a scene that names an arm";
+                return Err(document.missing("hand_eye", allowed));
+            }
+        };
         Ok(Self {
             model,
             robot: address.to_owned(),
@@ -233,30 +247,16 @@ impl Config {
     }
 }
 
-/// Refuses what contradicts the scene's arm: a camera at another place, and limits of the joints
-/// under which the bridge would stop what the law commands. A camera on the end effector is where
-/// the robot has that, which is known later.
-fn agrees(
+/// The camera on the flange where the arm file of a scene has it.
+///
+/// # Errors
+/// The arm is not a Panda or FR3, or the joints' limits contradict it: with them the bridge would
+/// stop what the law commands.
+fn mounted(
     document: &Document,
     arm: &scene::Arm,
-    hand_eye: &HandEye,
     (margin, speed): (f64, f64),
-    file: &Path,
-) -> Result<(), FileError> {
-    if hand_eye.frame == Frame::Flange {
-        let flange = Chain::FRANKA.pose(&Joints::zeros());
-        let camera = flange * hand_eye.mount(&Pose::identity()).flange_from_camera;
-        let rows = arm.rotation.map(RowVector3::from);
-        let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
-        let apart_m = (camera.translation.vector - Vector3::from(arm.translation)).norm();
-        let apart_rad = camera.rotation.angle_to(&rotation);
-        if apart_m > APART || apart_rad > APART {
-            let (path, mm) = (file.display(), 1e3 * apart_m);
-            let found = format!("{path}, {mm:.1} mm and {apart_rad:.3} rad from there");
-            let allowed = "the camera where the scene's arm file has it, to 1 mm and 1 mrad";
-            return Err(document.refuse("hand_eye", found, allowed));
-        }
-    }
+) -> Result<Pose, FileError> {
     if margin > arm.margin {
         let allowed = format!("at most {}, the margin of the scene's arm", arm.margin);
         return Err(document.refuse("joint_margin", margin, allowed));
@@ -265,7 +265,46 @@ fn agrees(
         let allowed = format!("at least {}, the speed of the scene's arm", arm.speed);
         return Err(document.refuse("joint_speed", speed, allowed));
     }
+    let (robot, theirs) = (Chain::FRANKA, Arm::from(arm).chain);
+    let camera = robot.pose(&Joints::zeros()).inverse() * theirs.pose(&Joints::zeros());
+    let with_camera = robot.with_ee(camera);
+    for joint in 0..JOINTS {
+        let mut q = Joints::zeros();
+        q[joint] = 1.0;
+        let [m, rad] = apart(&with_camera.pose(&q), &theirs.pose(&q));
+        if m > APART || rad > APART {
+            let found = format!("an arm whose joint {} is another's", joint + 1);
+            let allowed = "a scene whose arm file is of a Panda or FR3, its base panda_link0";
+            return Err(document.refuse("scene", found, allowed));
+        }
+    }
+    Ok(camera)
+}
+
+/// Refuses a hand-eye file that has the camera elsewhere than on the flange at this pose.
+fn agrees(
+    document: &Document,
+    camera: &Pose,
+    (file, frame): (&Path, Frame),
+) -> Result<(), FileError> {
+    if frame == Frame::Ee {
+        let allowed = "flange, where the scene names an arm; or leave out hand_eye";
+        return Err(document.refuse("hand_eye_frame", "ee", allowed));
+    }
+    let [m, rad] = apart(&hand_eye::read(file, frame)?.camera, camera);
+    if m > APART || rad > APART {
+        let (path, mm) = (file.display(), 1e3 * m);
+        let found = format!("{path}, {mm:.1} mm and {rad:.3} rad from there");
+        let allowed = "the camera where the scene's arm file has it, to 1 mm and 1 mrad";
+        return Err(document.refuse("hand_eye", found, allowed));
+    }
     Ok(())
+}
+
+/// How far apart two poses are, m and rad.
+fn apart(a: &Pose, b: &Pose) -> [f64; 2] {
+    let shift = a.translation.vector - b.translation.vector;
+    [shift.norm(), a.rotation.angle_to(&b.rotation)]
 }
 
 /// Returns the JSON Schema of a configuration file.

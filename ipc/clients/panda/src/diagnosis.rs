@@ -43,7 +43,7 @@ pub struct Advice {
 }
 
 /// Names the likely mistakes. A file that is right, but about the other frame or the other way
-/// round, is told from a wrong one. `None` where no pose of the pattern fits an image.
+/// round, is told from a wrong one; an arm file is about one frame only. `None` where no pose of the pattern fits an image.
 pub fn advise(
     scene: &Scene,
     hand_eye: &HandEye,
@@ -52,7 +52,7 @@ pub fn advise(
 ) -> Option<Advice> {
     let findings = explain(scene, &hand_eye.mount(flange_from_ee), moves)?;
     let mistakes = findings.mistakes();
-    if mistakes.is_empty() {
+    if mistakes.is_empty() || scene.arm.is_some() {
         return Some(Advice { findings, mistakes });
     }
     let HandEye { frame, camera } = *hand_eye;

@@ -5,3 +5,4 @@ pub mod mask;
 pub mod new;
 pub mod preview;
 mod seen;
+mod workspace;

@@ -10,10 +10,11 @@ use memory_builder::reach::Reach;
 use memory_builder::start;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use scene::{Area, Scene};
+use scene::{Area, Pose, Scene};
 use vpc::{Settings, Task, TaskError, constraint, field};
 
 use super::seen::{offender, seen};
+use super::workspace;
 
 /// Side of the squares in which the zone round the occlusions is drawn, share of the image's longer
 /// side.
@@ -67,19 +68,24 @@ impl Preview {
         };
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         let reach = Reach::of(&scene);
-        let (mut starts, mut count) = (Vec::new(), Drawn::default());
-        while starts.len() < self.starts && count.drawn < DRAWS {
+        let (mut valid, mut count) = (Vec::<(Pose, bool)>::new(), Drawn::default());
+        while count.found < self.starts && count.drawn < DRAWS {
             count.drawn += 1;
             let pose = start::draw(&scene, &mut rng);
             if start::features_if_valid(&scene, &task, &pose).is_none() {
                 continue;
             }
-            match reach.as_ref().is_none_or(|reach| reach.includes(&pose)) {
-                true => starts.push(seen(&scene, &pose)),
+            let is_reached = reach.as_ref().is_none_or(|reach| reach.includes(&pose));
+            match is_reached {
+                true => count.found += 1,
                 false => count.beyond += 1,
             }
+            if is_reached || count.beyond <= self.starts {
+                valid.push((pose, is_reached));
+            }
         }
-        count.found = starts.len();
+        let starts = valid.iter().filter(|(_, is_reached)| *is_reached);
+        let starts = starts.map(|(pose, _)| seen(&scene, pose)).collect();
 
         let trigger = Settings::default().trigger_px;
         let file = self.stem();
@@ -91,8 +97,14 @@ impl Preview {
             starts,
             title: self.title(),
         };
-        let said = describe(&task, &scene, trigger, &count);
-        let [svg, png] = figure.canvas().write(&file)?;
+        let mut said = describe(&task, &scene, trigger, &count);
+        if reach.is_none() && scene.arm.is_some() {
+            said += "note        the reach is not known: the arm file has no key `goal`\n";
+        }
+        let views = reach.map(|reach| workspace::views(&scene, &reach, &valid));
+        let panels = views.iter().flatten().map(figures::Reach::canvas);
+        let [svg, png] =
+            figures::side_by_side([figure.canvas()].into_iter().chain(panels)).write(&file)?;
         if figure.starts.is_empty() {
             bail!(
                 "{name}: starts: none of {DRAWS} draws is valid; look at {}; allowed: a region, `clearance_px` and \

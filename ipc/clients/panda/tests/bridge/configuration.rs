@@ -81,6 +81,12 @@ fn what_contradicts_the_arm_of_the_scene_is_refused() {
         rotation_deg = [0.0, 0.0, 46.0]\n";
     for (flag, text, code, words) in [
         ("--config", "", 69, "robot 127.0.0.254: "),
+        (
+            "--config",
+            "hand_eye_frame = 'ee'",
+            78,
+            "flange, where the scene names an arm",
+        ),
         ("--hand-eye", aside, 78, "29.5 mm and 0.000 rad from there"),
         ("--hand-eye", turned, 78, "0.0 mm and 0.017 rad from there"),
         (
@@ -100,6 +106,31 @@ fn what_contradicts_the_arm_of_the_scene_is_refused() {
         let said = said(&place, &[("--scene", &scene), (flag, &value)]);
         assert_eq!(said.code, Some(code), "{text}: {said:?}");
         assert!(said.stderr.contains(words), "{text}: {said:?}");
+    }
+}
+
+#[test]
+fn the_arm_of_the_scene_mounts_the_camera_if_it_is_a_franka() {
+    let place = Place::new();
+    let scenes = root().join("ipc/scene/scenes");
+    let read = |name: &str| std::fs::read_to_string(scenes.join(name)).unwrap();
+    let (arm, urdf) = (read("panda.toml"), read("panda.urdf"));
+    let text = format!("arm = 'arm.toml'\n{}", read("paper-robot.toml"));
+    let scene = place.file("scene.toml", text).display().to_string();
+    let shipped = "xyz=\"0.0825 0 0\"";
+    for (urdf, code, words) in [
+        (urdf.clone(), 69, "robot 127.0.0.254: "),
+        (
+            urdf.replacen(shipped, "xyz=\"0.0925 0 0\"", 1),
+            78,
+            "an arm whose joint 4 is another's; allowed: a scene whose arm file is of a Panda or FR3",
+        ),
+    ] {
+        place.file("panda.urdf", &urdf);
+        place.file("arm.toml", &arm);
+        let said = said(&place, &[("--scene", &scene), ("--hand-eye", "")]);
+        assert_eq!(said.code, Some(code), "{said:?}");
+        assert!(said.stderr.contains(words), "{said:?}");
     }
 }
 
