@@ -3,14 +3,15 @@
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
-//! | s | [`elbow`](crate::ik::elbow) | joint velocities as the elbow turns at 1 rad/s and the camera stands |
+//! | s | [`elbow`](crate::ik::elbow) | joints' velocities: elbow at 1 rad/s, camera at rest |
 //! | w | [`rate`] | velocity of the elbow, rad/s |
-//! | c_k | `crowding` | how near joint k is to an end of its range, -1 to 1, positive at the lower one |
+//! | c_k | `crowding` | how near joint k is to an end of its range, -1 to 1; positive: the lower |
 //! | P | `PUSH` | velocity that an end asks for |
-//! | e, e_0, E | `strain`, `STRAINED`, `EASE` | nearness to a singular posture; from where, how much |
+//! | e | `strain` | nearness to a singular posture |
+//! | e_0, E | `STRAINED`, `EASE` | from where on it counts, and how much |
 //!
-//! w = s . (P c - E (e - e_0) grad e) / |s|^2, e above e_0, no faster than [`FASTEST`]; the greatest
-//! gradient counts as 1/rad.
+//! w = s . (P c - E (e - e_0) grad e) / |s|^2, with e above e_0, and no faster than [`FASTEST`].
+//! Along s a gradient counts as at most 1/rad.
 //!
 //! Source: A. Liegeois, "Automatic supervisory control of the configuration and behavior of
 //! multibody mechanisms", IEEE SMC 7(12), 1977.
@@ -31,8 +32,8 @@ const STRAINED: f64 = 0.4;
 /// Velocity that a unit of strain above this asks for per unit of its gradient, rad/s.
 const EASE: f64 = 0.5;
 
-/// The velocity of the elbow, rad/s: `free` is s, `gradient` that of the strain by each joint, 1/rad.
-/// Zero where these are not finite.
+/// The velocity of the elbow, rad/s; zero where these are not finite. `free` is s; `gradient` is
+/// that of the strain by each joint, 1/rad.
 pub(crate) fn rate(
     limits: &Limits,
     margin: f64,
