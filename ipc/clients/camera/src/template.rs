@@ -186,9 +186,9 @@ impl Blur {
         lines.sum()
     }
 
-    /// The area under the level across an edge, from `reach` modules on the black side to as many on
-    /// the white one, in modules: `reach` for an edge that is far from others.
-    pub fn area(&self, template: &Template, edge: &Edge, reach: f64) -> f64 {
+    /// The level across an edge, from `reach` modules on the black side to as many on the white one,
+    /// and at `ends` on both sides.
+    pub fn across(&self, template: &Template, edge: &Edge, reach: f64, ends: f64) -> Across {
         let axis = edge.axis();
         let (sigma, weights) = (self.sigma[axis], &self.along[1 - axis][edge.along]);
         let sign = if edge.to_white[axis] > 0.0 { 1 } else { -1 };
@@ -208,16 +208,38 @@ impl Blur {
             lines.sum::<f64>()
         };
         let mut last = level(0);
-        let mut area = 2.0 * reach * last;
+        let mut found = Across {
+            area: 2.0 * reach * last,
+            ends: [last; 2],
+        };
         for k in 1..6 {
             let next = level(k);
-            let at = k as f64 - 3.0;
-            let [above, under] = [reach, -reach].map(|x| area_below((x - at) / sigma));
-            area += (next - last) * sigma * (above - under);
+            if next != last {
+                let (at, rise) = (k as f64 - 3.0, next - last);
+                let [above, under] = [reach, -reach].map(|x| area_below((x - at) / sigma));
+                found.area += rise * sigma * (above - under);
+                for (level, x) in found.ends.iter_mut().zip([-ends, ends]) {
+                    *level += rise * below((x - at) / sigma);
+                }
+            }
             last = next;
         }
-        area
+        found
     }
+
+    /// Standard deviations along x and y, modules.
+    pub fn sigma(&self) -> [f64; 2] {
+        self.sigma
+    }
+}
+
+/// Levels across an edge: 0 is black, 1 is white.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Across {
+    /// The area under them, modules: the reach for an edge that is far from others.
+    pub area: f64,
+    /// The level near the end on the black side, and near that on the white one.
+    pub ends: [f64; 2],
 }
 
 #[cfg(test)]
@@ -251,7 +273,7 @@ mod tests {
         let blur = Blur::new([0.0; 2]);
         for template in &templates()[..20] {
             for edge in &template.edges {
-                let area = blur.area(template, edge, 0.5);
+                let area = blur.across(template, edge, 0.5, 0.5).area;
                 assert!((area - 0.5).abs() < 1e-3, "{edge:?}: {area}");
             }
             for cell in &template.border {
