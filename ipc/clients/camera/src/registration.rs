@@ -15,8 +15,8 @@ const PASSES: usize = 3;
 const WIDE: [f64; 4] = [0.35, 0.45, 0.55, 0.65];
 /// Below this measured blur, modules, none of them is tried.
 const SHARP: f64 = 0.15;
-/// Least measured blur, as a share of the tried one.
-const MEASURED: f64 = 0.5;
+/// Least softness of the edges, as a share of what the tried blur would leave.
+const MEASURED: f64 = 0.9;
 /// Distance between samples across an edge, px, at most.
 const STEP: f64 = 0.5;
 /// Farthest sample from an edge, px and modules.
@@ -90,7 +90,7 @@ fn fit(
             break;
         };
         let (mut a, mut b) = (Normal::zeros(), Unknowns::zeros());
-        let mut softness = [[0.0_f64; 2]; 2];
+        let mut softness = [[0.0_f64; 3]; 2];
         let mut places = Vec::with_capacity(template.edges.len());
         for edge in &template.edges {
             let place = Place::of(&h, edge);
@@ -108,24 +108,28 @@ fn fit(
             a.ger(1.0, &row, &row, 1.0);
             b.axpy(off, &row, 1.0);
             if edge.side.is_some() {
-                let [sum, count] = &mut softness[edge.axis()];
-                (*sum, *count) = (*sum + profile.soft / place.module_px, *count + 1.0);
+                let [sum, expected, count] = &mut softness[edge.axis()];
+                *sum += profile.soft / place.module_px;
+                *expected += blur.softness(edge, reach / place.module_px);
+                *count += 1.0;
             }
             places.push(Some((row, off, place.slant * place.module_px)));
         }
         let Some(normal) = a.cholesky() else {
             break;
         };
-        let step = normal.solve(&b);
+        let mut step = normal.solve(&b);
         for k in 0..8 {
             h[(k / 3, k % 3)] += step[k];
         }
         // The integral of p (1 - p) over a Gaussian's distribution p is sigma / sqrt(pi).
-        let sigma = |[sum, count]: [f64; 2]| std::f64::consts::PI.sqrt() * sum / count;
+        let sigma = |[sum, _, count]: [f64; 3]| std::f64::consts::PI.sqrt() * sum / count;
         let sigma = softness.map(sigma);
-        // An edge sharper than possible: what should be white is darker than the bits.
-        let least = MEASURED * known.unwrap_or(0.0);
-        if sigma.iter().any(|&sigma| sigma.is_nan() || sigma <= least) {
+        // An edge sharper than possible: what should be white is darker than the bits. One sharper
+        // than by the tried blur: that would hide what covers a part of it.
+        let least = if known.is_some() { MEASURED } else { 0.0 };
+        let is_soft = |[sum, expected, count]: [f64; 3]| count > 0.0 && sum > least * expected;
+        if !softness.into_iter().all(is_soft) {
             break;
         }
         if known.is_none() {
@@ -134,17 +138,26 @@ fn fit(
         if pass < PASSES {
             continue;
         }
-        let mut seen = Seen::default();
-        for (place, edge) in places.iter().zip(&template.edges) {
-            match place {
-                Some((row, off, module_px)) => {
-                    seen.add(off - row.dot(&step), *module_px, edge.side)
+        let mut seen = Seen::of(&places, template, &step);
+        if seen.misfits > 0 && seen.is_whole() {
+            // They are few, and something covers them: the fit is better without.
+            for (row, off, module_px) in places.iter().flatten() {
+                if is_misfit(off - row.dot(&step), *module_px) {
+                    a.ger(-1.0, row, row, 1.0);
+                    b.axpy(-off, row, 1.0);
                 }
-                None => seen.outside[edge.side.unwrap_or(4)] += 1,
             }
+            let Some(normal) = a.cholesky() else {
+                break;
+            };
+            let without = normal.solve(&b);
+            for k in 0..8 {
+                h[(k / 3, k % 3)] += without[k] - step[k];
+            }
+            step = without;
+            seen = Seen::of(&places, template, &step);
         }
-        let is_seen = seen.is_whole();
-        let is_whole = is_seen && light.is_whole(image, template, &blur, &h);
+        let is_whole = seen.is_whole() && light.is_whole(image, template, &blur, &h);
         return (is_whole.then_some(h), Some(sigma));
     }
     (None, None)
@@ -163,10 +176,33 @@ struct Seen {
     outside: [usize; 5],
 }
 
+/// What was measured at a place: its row of the normal equations, how far off it was before the
+/// last step, and the side of a module there, px.
+type Measured = (Unknowns, f64, f64);
+
+/// Whether a place is this far from the fit (px) that it is not an edge of the tag.
+fn is_misfit(off: f64, module_px: f64) -> bool {
+    off.abs() > (OFF_PX + OFF * module_px).min(OFF_MOST_PX)
+}
+
 impl Seen {
+    /// What the places of a template's edges say of a step.
+    fn of(places: &[Option<Measured>], template: &Template, step: &Unknowns) -> Self {
+        let mut seen = Self::default();
+        for (place, edge) in places.iter().zip(&template.edges) {
+            match place {
+                Some((row, off, module_px)) => {
+                    seen.add(off - row.dot(step), *module_px, edge.side);
+                }
+                None => seen.outside[edge.side.unwrap_or(4)] += 1,
+            }
+        }
+        seen
+    }
+
     /// Adds a place, `off` px from the fit.
     fn add(&mut self, off: f64, module_px: f64, side: Option<usize>) {
-        let is_off = off.abs() > (OFF_PX + OFF * module_px).min(OFF_MOST_PX);
+        let is_off = is_misfit(off, module_px);
         self.places += 1;
         self.misfits += usize::from(is_off);
         if let Some(side) = side {

@@ -227,6 +227,18 @@ impl Blur {
         found
     }
 
+    /// The area under p (1 - p) across an edge far from others, whose levels p go from black (0) to
+    /// white (1), to `reach` modules on both sides; in modules.
+    pub fn softness(&self, edge: &Edge, reach: f64) -> f64 {
+        let sigma = self.sigma[edge.axis()];
+        let x = reach / sigma;
+        let p = below(x);
+        let density = area_below(x) - x * p;
+        // By parts, from the middle to x.
+        let bell = (below(2.0_f64.sqrt() * x) - 0.5) / std::f64::consts::PI.sqrt();
+        2.0 * sigma * (x * p * (1.0 - p) - (2.0 * p - 1.0) * density + bell)
+    }
+
     /// Standard deviations along x and y, modules.
     pub fn sigma(&self) -> [f64; 2] {
         self.sigma
@@ -280,6 +292,21 @@ mod tests {
                 let level = blur.level(template, cell);
                 assert_eq!(level, f64::from(u8::from(cell.is_white)));
             }
+        }
+    }
+
+    #[test]
+    fn softness_is_the_area_that_samples_give() {
+        let edge = &templates()[0].edges[0];
+        for (sigma, reach) in [(0.1, 0.5), (0.35, 0.5), (0.65, 0.5), (0.65, 0.3)] {
+            let samples = (0..1000).map(|k| (k as f64 - 499.5) * reach / 500.0);
+            let level = samples.map(|x| below(x / sigma));
+            let expected = level.map(|p| p * (1.0 - p) * reach / 500.0).sum::<f64>();
+            let found = Blur::new([sigma; 2]).softness(edge, reach);
+            assert!(
+                (found - expected).abs() < 1e-4,
+                "{sigma} {reach}: {found} {expected}"
+            );
         }
     }
 }
