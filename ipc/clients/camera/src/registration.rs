@@ -16,7 +16,7 @@ const WIDE: [f64; 4] = [0.35, 0.45, 0.55, 0.65];
 /// Below this measured blur, modules, none of them is tried.
 const SHARP: f64 = 0.15;
 /// Least softness of the edges, as a share of what the tried blur would leave.
-const MEASURED: f64 = 0.9;
+const MEASURED: f64 = 0.95;
 /// Distance between samples across an edge, px, at most.
 const STEP: f64 = 0.5;
 /// Farthest sample from an edge, px and modules.
