@@ -352,8 +352,11 @@ mod tests {
         }
     }
 
-    /// Under each kind of picture: the tag's drawing becomes it.
-    const CHANGES: [(&str, fn(&mut Drawing)); 4] = [
+    /// Makes of a drawing what a camera would.
+    type Change = fn(&mut Drawing);
+
+    /// Kinds of pictures by name.
+    const CHANGES: [(&str, Change); 4] = [
         ("sharpened", |drawing| {
             drawing.blur(0.8);
             drawing.sharpen(0.8);
