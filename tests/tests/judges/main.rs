@@ -1,10 +1,12 @@
 //! Judges from outside: other libraries and a real robot say where the joints of an arm file put
-//! the camera, and how far its links are apart.
+//! the camera, and how far its links are apart; pictures of real cameras where its tags are.
+
+mod pictures;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use arm::{Arm, Chain, JOINTS, Jacobian, Joints, Other, Pose};
@@ -264,14 +266,25 @@ struct Reading {
     base_from_hand: [f64; 16],
 }
 
-/// Their author states no licence, so that they are not here: `VPC_REAL` names the folder with
-/// `pose_00/data.json` and so on, which github.com/kvasios/franka-handeye publishes.
+/// A folder of `VPC_REAL`; `None`, after [`not_run`], where it is not here.
+fn real(what: &str, folder: &str) -> Option<PathBuf> {
+    let place = std::env::var_os("VPC_REAL").map(|place| Path::new(&place).join(folder));
+    let place = place.filter(|place| place.is_dir());
+    if place.is_none() {
+        not_run(what, format_args!("VPC_REAL names no folder with {folder}"));
+    }
+    place
+}
+
+/// Their author states no licence, so that they are not here: `VPC_REAL` names a folder with
+/// `franka/captured-data/pose_00/data.json` and so on, which github.com/kvasios/franka-handeye
+/// publishes.
 #[test]
 #[ignore = "needs VPC_REAL: CI runs it in a line of its own"]
 fn a_real_panda_is_where_the_arm_file_has_it() {
     let what = "readings of a real Panda";
-    let Some(place) = std::env::var_os("VPC_REAL") else {
-        return not_run(what, "VPC_REAL names no folder of them");
+    let Some(place) = real(what, "franka/captured-data") else {
+        return;
     };
     let (_, arm) = arm(&root().join("ipc/scene/scenes/panda.toml"));
     // The flange, by the camera's mounting: 45 degrees on it, 7 cm aside and 4 cm above.

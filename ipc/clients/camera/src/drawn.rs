@@ -94,6 +94,65 @@ impl Drawing {
         }
     }
 
+    /// What a camera's processor does to every picture: adds the difference from the blurred one.
+    pub fn sharpen(&mut self, gain: f64) {
+        let levels = self.levels.clone();
+        self.blur(1.0);
+        for (out, level) in self.levels.iter_mut().zip(levels) {
+            *out = (level + gain * (level - *out)).clamp(0.0, 255.0);
+        }
+    }
+
+    /// A share of the light leaks into the rows below, and fades over this length, px.
+    pub fn smear(&mut self, share: f64, length: f64) {
+        let light = |level: f64| (level / 255.0).max(0.0).powf(2.2);
+        let fade = (-1.0 / length).exp();
+        for column in 0..self.width {
+            let mut above = light(self.levels[column]);
+            for out in self.levels[column..].iter_mut().step_by(self.width) {
+                let here = light(*out);
+                above = fade * above + (1.0 - fade) * here;
+                *out = 255.0 * (here + share * (above - here)).powf(1.0 / 2.2);
+            }
+        }
+    }
+
+    /// Each pixel sees one colour of a Bayer mosaic, and the others come from its neighbours.
+    pub fn demosaic(&mut self) {
+        let levels = self.levels.clone();
+        let (width, height) = (self.width as i64, self.height as i64);
+        let colour = |u: i64, v: i64| ((u & 1) + (v & 1)) as usize;
+        for (n, out) in self.levels.iter_mut().enumerate() {
+            let (u, v) = (n as i64 % width, n as i64 / width);
+            let mut sums = [[0.0; 2]; 3];
+            for k in 0..9 {
+                let (i, j) = (
+                    (u + k % 3 - 1).clamp(0, width - 1),
+                    (v + k / 3 - 1).clamp(0, height - 1),
+                );
+                let weight = [1.0, 2.0, 4.0][usize::from(k % 3 == 1) + usize::from(k / 3 == 1)];
+                let [sum, count] = &mut sums[colour(i, j)];
+                *sum += weight * levels[(j * width + i) as usize];
+                *count += weight;
+            }
+            if colour(u, v) == 1 {
+                // Green where it is seen itself.
+                sums[1] = [levels[n], 1.0];
+            }
+            let [red, green, blue] = sums.map(|[sum, count]| sum / count);
+            *out = 0.299 * red + 0.587 * green + 0.114 * blue;
+        }
+    }
+
+    /// A light mirrored about a point, brighter by so many levels, with this radius, px.
+    pub fn gloss(&mut self, [u, v]: [f64; 2], brighter: f64, radius: f64) {
+        for (n, out) in self.levels.iter_mut().enumerate() {
+            let (i, j) = ((n % self.width) as f64, (n / self.width) as f64);
+            let far = (i - u).hypot(j - v) / radius;
+            *out = (*out + brighter * (-0.5 * far * far).exp()).min(255.0);
+        }
+    }
+
     /// The image with noise of this standard deviation, levels.
     pub fn pixels(&self, noise: f64, seed: u64) -> Vec<u8> {
         let mut random = ChaCha8Rng::seed_from_u64(seed);

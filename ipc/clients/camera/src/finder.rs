@@ -84,10 +84,10 @@ impl Finder {
         let frames = self.last.and_then(|last| sequence.checked_sub(last));
         let frames = frames.map_or(1, |frames| frames.clamp(1, 1000) as u32);
         self.last = Some(sequence);
-        let mut tags = self.look_near(image, frames)?;
-        let is_whole = self.is_to_look_everywhere(&tags, frames);
+        let (mut tags, refused) = self.look_near(image, frames)?;
+        let is_whole = self.is_to_look_everywhere(&tags, &refused, frames);
         if is_whole {
-            tags = self.look_everywhere(image)?;
+            tags = self.look_everywhere(image, refused)?;
             self.since_whole = 0;
         }
         self.since_whole = self.since_whole.saturating_add(1);
@@ -126,9 +126,10 @@ impl Finder {
         places
     }
 
-    /// Looks for each tag in a window about where it is expected.
-    fn look_near(&mut self, image: &Grey, frames: u32) -> Result<Vec<Tag>, TagError> {
-        let mut tags = Vec::new();
+    /// Looks for each tag in a window about where it is expected: those that are seen whole, and
+    /// the numbers of those that are there, but not seen whole.
+    fn look_near(&mut self, image: &Grey, frames: u32) -> Result<(Vec<Tag>, Vec<u32>), TagError> {
+        let (mut tags, mut refused) = (Vec::new(), Vec::new());
         for index in 0..self.targets.numbers().len() {
             let Some(expected) = self.tracker.expected(index, frames) else {
                 continue;
@@ -144,25 +145,37 @@ impl Finder {
             let number = self.targets.numbers()[index];
             let finder = self.window_finder(side, coarse)?;
             let part = image.part(u..u + side, v..v + side);
-            let is_ours = |tag: &Tag| tag.number == number;
-            let mut found = finder.find(&part)?;
-            if !found.iter().any(is_ours) {
-                found = finder.find_blurred(&part)?;
+            let is_ours = |found: u32| found == number;
+            let mut found = finder.find_those(&part, is_ours)?;
+            // One that is read and refused would be again.
+            if found.is_empty() && finder.refused().is_empty() {
+                found = finder.find_blurred(&part, is_ours)?;
             }
-            let ours = found.iter().filter(|tag| is_ours(tag));
-            tags.extend(ours.map(|tag| tag.shifted([u as f64, v as f64])));
+            if found.is_empty() {
+                refused.extend(finder.refused().first());
+            }
+            tags.extend(found.iter().map(|tag| tag.shifted([u as f64, v as f64])));
         }
-        Ok(tags)
+        Ok((tags, refused))
     }
 
-    /// Looks for all tags in the whole image, and once more for those that may be out of focus.
-    fn look_everywhere(&mut self, image: &Grey) -> Result<Vec<Tag>, TagError> {
-        let mut tags = self.everywhere.find(image)?;
-        let is_missing = |number: u32| tags.iter().all(|tag| tag.number != number);
-        let missing: Vec<u32> = self.tracker.numbers().filter(|&k| is_missing(k)).collect();
+    /// Looks for all tags in the whole image, and once more for those that may be out of focus: not
+    /// for those that were read and refused.
+    fn look_everywhere(
+        &mut self,
+        image: &Grey,
+        mut refused: Vec<u32>,
+    ) -> Result<Vec<Tag>, TagError> {
+        let is_ours = |number: u32| self.targets.numbers().contains(&number);
+        let mut tags = self.everywhere.find_those(image, is_ours)?;
+        refused.extend(self.everywhere.refused());
+        let is_missing = |number: &u32| {
+            !refused.contains(number) && tags.iter().all(|tag| tag.number != *number)
+        };
+        let missing: Vec<u32> = self.tracker.numbers().filter(is_missing).collect();
         if !missing.is_empty() {
-            let blurred = self.everywhere.find_blurred(image)?.into_iter();
-            tags.extend(blurred.filter(|tag| missing.contains(&tag.number)));
+            let is_missing = |number: u32| missing.contains(&number);
+            tags.extend(self.everywhere.find_blurred(image, is_missing)?);
         }
         Ok(tags)
     }
@@ -181,9 +194,9 @@ impl Finder {
         Ok(&mut self.windows[known].1)
     }
 
-    /// Where a tag is lost that was seen a frame ago; every so often while one is missing; all the
-    /// time while all are.
-    fn is_to_look_everywhere(&self, tags: &[Tag], frames: u32) -> bool {
+    /// Where a tag is lost that was seen a frame ago, and is not where it should be; every so often
+    /// while one is missing; all the time while all are.
+    fn is_to_look_everywhere(&self, tags: &[Tag], refused: &[u32], frames: u32) -> bool {
         let is_here = |number: u32| tags.iter().any(|tag| tag.number == number);
         let mut missing = self
             .tracker
@@ -195,7 +208,8 @@ impl Finder {
             return false;
         }
         let is_due = self.since_whole.saturating_add(frames - 1) >= WHOLE_EVERY;
-        tags.is_empty() || is_due || missing.any(|(index, _)| self.tracker.is_seen(index))
+        let mut lost = missing.filter(|(_, number)| !refused.contains(number));
+        tags.is_empty() || is_due || lost.any(|(index, _)| self.tracker.is_seen(index))
     }
 
     /// A tag in the image of the scene's pinhole.

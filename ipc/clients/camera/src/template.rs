@@ -186,9 +186,9 @@ impl Blur {
         lines.sum()
     }
 
-    /// The area under the level across an edge, from `reach` modules on the black side to as many on
-    /// the white one, in modules: `reach` for an edge that is far from others.
-    pub fn area(&self, template: &Template, edge: &Edge, reach: f64) -> f64 {
+    /// The level across an edge, from `reach` modules on the black side to as many on the white one,
+    /// and at `ends` on both sides.
+    pub fn across(&self, template: &Template, edge: &Edge, reach: f64, ends: f64) -> Across {
         let axis = edge.axis();
         let (sigma, weights) = (self.sigma[axis], &self.along[1 - axis][edge.along]);
         let sign = if edge.to_white[axis] > 0.0 { 1 } else { -1 };
@@ -208,16 +208,50 @@ impl Blur {
             lines.sum::<f64>()
         };
         let mut last = level(0);
-        let mut area = 2.0 * reach * last;
+        let mut found = Across {
+            area: 2.0 * reach * last,
+            ends: [last; 2],
+        };
         for k in 1..6 {
             let next = level(k);
-            let at = k as f64 - 3.0;
-            let [above, under] = [reach, -reach].map(|x| area_below((x - at) / sigma));
-            area += (next - last) * sigma * (above - under);
+            if next != last {
+                let (at, rise) = (k as f64 - 3.0, next - last);
+                let [above, under] = [reach, -reach].map(|x| area_below((x - at) / sigma));
+                found.area += rise * sigma * (above - under);
+                for (level, x) in found.ends.iter_mut().zip([-ends, ends]) {
+                    *level += rise * below((x - at) / sigma);
+                }
+            }
             last = next;
         }
-        area
+        found
     }
+
+    /// The area under p (1 - p) across an edge far from others, whose levels p go from black (0) to
+    /// white (1), to `reach` modules on both sides; in modules.
+    pub fn softness(&self, edge: &Edge, reach: f64) -> f64 {
+        let sigma = self.sigma[edge.axis()];
+        let x = reach / sigma;
+        let p = below(x);
+        let density = area_below(x) - x * p;
+        // By parts, from the middle to x.
+        let bell = (below(2.0_f64.sqrt() * x) - 0.5) / std::f64::consts::PI.sqrt();
+        2.0 * sigma * (x * p * (1.0 - p) - (2.0 * p - 1.0) * density + bell)
+    }
+
+    /// Standard deviations along x and y, modules.
+    pub fn sigma(&self) -> [f64; 2] {
+        self.sigma
+    }
+}
+
+/// Levels across an edge: 0 is black, 1 is white.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Across {
+    /// The area under them, modules: the reach for an edge that is far from others.
+    pub area: f64,
+    /// The level near the end on the black side, and near that on the white one.
+    pub ends: [f64; 2],
 }
 
 #[cfg(test)]
@@ -251,13 +285,28 @@ mod tests {
         let blur = Blur::new([0.0; 2]);
         for template in &templates()[..20] {
             for edge in &template.edges {
-                let area = blur.area(template, edge, 0.5);
+                let area = blur.across(template, edge, 0.5, 0.5).area;
                 assert!((area - 0.5).abs() < 1e-3, "{edge:?}: {area}");
             }
             for cell in &template.border {
                 let level = blur.level(template, cell);
                 assert_eq!(level, f64::from(u8::from(cell.is_white)));
             }
+        }
+    }
+
+    #[test]
+    fn softness_is_the_area_that_samples_give() {
+        let edge = &templates()[0].edges[0];
+        for (sigma, reach) in [(0.1, 0.5), (0.35, 0.5), (0.65, 0.5), (0.65, 0.3)] {
+            let samples = (0..1000).map(|k| (k as f64 - 499.5) * reach / 500.0);
+            let level = samples.map(|x| below(x / sigma));
+            let expected = level.map(|p| p * (1.0 - p) * reach / 500.0).sum::<f64>();
+            let found = Blur::new([sigma; 2]).softness(edge, reach);
+            assert!(
+                (found - expected).abs() < 1e-4,
+                "{sigma} {reach}: {found} {expected}"
+            );
         }
     }
 }

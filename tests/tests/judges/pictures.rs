@@ -1,0 +1,153 @@
+//! Pictures of real cameras: other detectors and published corners say where the tags are.
+//!
+//! They are not here: `VPC_REAL` names a folder with `rbt/`, the pictures of `rbt/sequence`, and
+//! `tags/`, the files of `AprilTag`, both of github.com/lagadic/visp-images.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Deserialize;
+use testkit::{Place, root, tell};
+
+use crate::real;
+
+/// Centres of tags by number, px.
+type Centres = BTreeMap<u32, [f64; 2]>;
+
+#[derive(Deserialize)]
+struct Found {
+    detector: String,
+    frames: Vec<Frame>,
+    summary: Summary,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    tags: Centres,
+}
+
+#[derive(Deserialize)]
+struct Summary {
+    whole: usize,
+    rms: f64,
+    most: f64,
+    ms: [f64; 2],
+    beside: [f64; 2],
+}
+
+/// What `cargo judge` says of a folder.
+fn judged(folder: &Path, tags: &str, flags: &[&str]) -> Vec<Found> {
+    let mut cargo = testkit::command(env!("CARGO"));
+    cargo.args(["judge", "--json", "--tags", tags]).args(flags);
+    let said = testkit::python::run(cargo.arg(folder).current_dir(root())).unwrap();
+    let lines = said.lines().filter(|line| line.starts_with('{'));
+    lines
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect()
+}
+
+#[test]
+#[ignore = "needs VPC_REAL: CI runs it in a line of its own"]
+fn a_moving_cameras_tags_are_found_as_often_as_by_apriltag_3_and_as_exactly() {
+    let Some(folder) = real("pictures of a moving camera", "rbt") else {
+        return;
+    };
+    let all = judged(&folder, "0,1,2,3,4,5,6", &[]);
+    for found in &all {
+        let Summary {
+            whole,
+            rms,
+            most,
+            ms,
+            beside,
+        } = &found.summary;
+        let count = found.frames.len();
+        tell(format!(
+            "{}: all tags in {whole} of {count} frames, RMS {rms:.3} px, {most:.3} at most, {ms:.1?} ms, beside ours \
+             {beside:.3?} px",
+            found.detector
+        ));
+    }
+    let [ours, others @ ..] = all.as_slice() else {
+        panic!("no detector");
+    };
+    assert!(ours.summary.rms < 0.04 && ours.summary.most < 0.22);
+    for other in others {
+        assert!(
+            ours.summary.whole >= other.summary.whole,
+            "{}",
+            other.detector
+        );
+        assert!(ours.summary.rms < other.summary.rms, "{}", other.detector);
+    }
+}
+
+/// Centres by published corners: a line with the tag's name, whose end is its number, and four
+/// lines of numbers, `[u, v]` px or the other way round. The origin is the corner of the first pixel.
+fn published(path: &Path, is_row_first: bool) -> Centres {
+    let text = std::fs::read_to_string(path).unwrap();
+    let mut lines = text.lines().filter(|line| !line.trim().is_empty());
+    let mut centres = Centres::new();
+    while let Some(name) = lines.next() {
+        let number = name.rsplit('_').next().unwrap().trim().parse().unwrap();
+        let mut corner = || {
+            let numbers = lines.next().unwrap().split_whitespace();
+            let numbers: Vec<f64> = numbers.map(|x| x.parse().unwrap()).collect();
+            let (u, v) = if is_row_first {
+                (numbers[1], numbers[0])
+            } else {
+                (numbers[0], numbers[1])
+            };
+            nalgebra::Vector2::new(u - 0.5, v - 0.5)
+        };
+        let [a, b, c, d] = [corner(), corner(), corner(), corner()];
+        let share = (b - a).perp(&(d - b)) / (c - a).perp(&(d - b));
+        centres.insert(number, (a + share * (c - a)).into());
+    }
+    centres
+}
+
+#[test]
+#[ignore = "needs VPC_REAL: CI runs it in a line of its own"]
+fn tags_are_where_published_corners_have_them() {
+    let Some(folder) = real("pictures with published corners", "tags") else {
+        return;
+    };
+    let (mut sum, mut count) = ([0.0; 2], 0.0);
+    for (picture, corners, is_row_first, tags, least) in [
+        (
+            "AprilTag.png",
+            "ground_truth_detection.txt",
+            true,
+            "8,10,12,13,14,15,17,19",
+            8,
+        ),
+        (
+            "tag36_11_640x480.png",
+            "corners_tag36_11.txt",
+            false,
+            "0,1,2,3,4",
+            3,
+        ),
+    ] {
+        let place = Place::new();
+        std::fs::copy(folder.join(picture), place.path(picture)).unwrap();
+        let known = published(&folder.join(corners), is_row_first);
+        let found = judged(&place.path("."), tags, &["--alone"]).remove(0);
+        let tags = &found.frames[0].tags;
+        assert!(tags.len() >= least, "{picture}: {tags:?}");
+        let mut here = [0.0; 2];
+        for (number, centre) in tags {
+            here = [0, 1].map(|k| here[k] + centre[k] - known[number][k]);
+        }
+        tell(format!(
+            "{picture}: {} tags, {:.3?} px on the mean",
+            tags.len(),
+            here.map(|x| x / tags.len() as f64)
+        ));
+        sum = [0, 1].map(|k| sum[k] + here[k]);
+        count += tags.len() as f64;
+    }
+    let bias = sum.map(|sum: f64| sum / count);
+    assert!(bias.iter().all(|bias| bias.abs() < 0.05), "{bias:?}");
+}
