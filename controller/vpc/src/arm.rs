@@ -29,6 +29,20 @@ const PX: f64 = 1000.0;
 /// and a camera that waits at a bound comes nearer without end; few others leave less than 0.02.
 const NEAR: f64 = 0.01;
 
+/// What an arm costs a command, ns (`cargo bench --bench steer`).
+const ARM: u32 = 2600;
+/// What its links' shapes cost it more, ns, and each pair of them.
+const SHAPES: u32 = 600;
+const PAIR: u32 = 20;
+
+/// What an arm costs a command, [work](crate::work).
+pub(crate) fn work_ns(arm: &Arm) -> u32 {
+    ARM + match arm.shapes.pairs.len() as u32 {
+        0 => 0,
+        pairs => SHAPES + pairs * PAIR,
+    }
+}
+
 /// Where an arm's joints were. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Posture {

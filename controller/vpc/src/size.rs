@@ -7,7 +7,7 @@ use crate::intersample::most_stretches;
 use crate::obstacle::Obstacle;
 use crate::qp::MAX_ROWS;
 use crate::task::Task;
-use crate::{MAX_NC, MAX_NP, work};
+use crate::{MAX_NC, MAX_NP, arm};
 
 /// How large the problems of a solver are, and with them its workspace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,7 +54,7 @@ impl Size {
             rows: rows.min(MAX_ROWS),
             stretches: most_stretches(task),
             obstacles,
-            arm_ns: task.arm.as_ref().map_or(0, work::of_arm),
+            arm_ns: task.arm.as_ref().map_or(0, arm::work_ns),
             clearance_ns: task.obstacles().map(Obstacle::price_ns).max().unwrap_or(0),
         }
     }

@@ -6,8 +6,6 @@
 //! commands, 4 and 8 points, and 6 and 47 parts, on a virtual machine of 2026 (`cargo run --release
 //! -p vpc --example step_times`).
 
-use ::arm::Arm;
-
 use crate::constraint::SIDES;
 use crate::size::Size;
 
@@ -17,23 +15,10 @@ const ITERATIONS_A_STEP: u32 = 2;
 const STRETCHES: u32 = 11;
 /// Changes of the active set that an iteration may take.
 const CHANGES: u32 = 12;
-/// What an arm costs a command, ns (`cargo bench --bench steer`).
-const ARM: u32 = 2600;
-/// What its links' shapes cost it more, ns, and each pair of them.
-const SHAPES: u32 = 600;
-const PAIR: u32 = 20;
 /// Of this many possible rows, usually one is near enough to count.
 const PAIRS_A_ROW: usize = 20;
 /// Previews of the window beside the solution: the last check with its halvings, the running cost.
 const OTHER_PREVIEWS: u32 = 8;
-
-/// What an arm costs a command, ns.
-pub fn of_arm(arm: &Arm) -> u32 {
-    ARM + match arm.shapes.pairs.len() as u32 {
-        0 => 0,
-        pairs => SHAPES + pairs * PAIR,
-    }
-}
 
 /// What the parts of a solution cost for problems of one size, ns.
 #[derive(Clone, Copy, Debug)]

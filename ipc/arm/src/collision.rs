@@ -21,16 +21,10 @@
 
 use nalgebra::{RowSVector, Vector3};
 
-use crate::capsule::{Capsule, Cuboid, Segment, nearest};
-use crate::description::{Arm, Wall};
+use crate::capsule::{Capsule, Segment, nearest};
+use crate::description::{Arm, MAX_CAPSULES, Other, Pair, Shapes, Wall};
 use crate::kinematics::{JOINTS, Jacobian, Joints, Pose};
 
-/// Most capsules of an arm.
-pub const MAX_CAPSULES: usize = scene::MAX_SHAPES;
-/// Most boxes about it.
-pub const MAX_BOXES: usize = scene::MAX_BOXES;
-/// Most pairs whose distances are kept.
-pub const MAX_PAIRS: usize = scene::MAX_PAIRS;
 /// Pairs that bound a motion at once: the nearest.
 pub const NEAREST: usize = 8;
 /// Most rows of these.
@@ -39,39 +33,6 @@ pub const MAX_ROWS: usize = 2 * NEAREST;
 /// A pair that has more left than this bounds no motion, m: an arm that keeps to a quarter of its
 /// joints' speeds hardly uses it up in a step of the law's window.
 const REACH: f64 = 0.25;
-
-/// What a capsule keeps off.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Other {
-    /// The capsule of this index, which fewer joints move.
-    Link(u8),
-    /// The box of this index.
-    Box(u8),
-    /// The wall of this index.
-    Wall(u8),
-}
-
-/// Two bodies that keep apart.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Pair {
-    /// Index of a capsule.
-    pub shape: u8,
-    /// The other body.
-    pub other: Other,
-}
-
-/// The shapes of an arm's links and of what is about it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Shapes {
-    /// Of the links.
-    pub capsules: heapless::Vec<Capsule, MAX_CAPSULES>,
-    /// That do not move.
-    pub boxes: heapless::Vec<Cuboid, MAX_BOXES>,
-    /// Which of them keep apart.
-    pub pairs: heapless::Vec<Pair, MAX_PAIRS>,
-    /// Least distance of each pair, m.
-    pub clearance: f64,
-}
 
 /// What is left to one end of a capsule's axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -258,6 +219,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::capsule::Cuboid;
     use crate::damper::{Bound, Cause, Dampers};
     use crate::limits::Model;
     use crate::{Chain, READY};

@@ -21,8 +21,8 @@
 
 use nalgebra::{Matrix6, RowSVector, SMatrix, SVector, Vector3};
 
-use crate::collision::{MAX_ROWS, Pair};
-use crate::description::{Arm, MAX_POINTS, MAX_WALLS};
+use crate::collision::MAX_ROWS;
+use crate::description::{Arm, MAX_POINTS, MAX_WALLS, Pair};
 use crate::elbow;
 use crate::ik::{self, Inverse, held, inverse, square};
 use crate::kinematics::{JOINTS, Jacobian, Joints, Pose, Twist};

@@ -3,7 +3,6 @@
 use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3, Vector3};
 
 use crate::capsule::{Capsule, Cuboid};
-use crate::collision::{Other, Pair, Shapes};
 use crate::kinematics::{Chain, JOINTS, Pose, Screw};
 use crate::limits::{JointLimits, Limits};
 
@@ -11,6 +10,12 @@ use crate::limits::{JointLimits, Limits};
 pub const MAX_WALLS: usize = scene::MAX_WALLS;
 /// Most points that keep off them: the camera's origin and the scene's.
 pub const MAX_POINTS: usize = scene::MAX_WALL_POINTS + 1;
+/// Most capsules of an arm.
+pub const MAX_CAPSULES: usize = scene::MAX_SHAPES;
+/// Most boxes about it.
+pub const MAX_BOXES: usize = scene::MAX_BOXES;
+/// Most pairs whose distances are kept.
+pub const MAX_PAIRS: usize = scene::MAX_PAIRS;
 const _: () = assert!(JOINTS == scene::MAX_JOINTS);
 
 /// An arm that carries a camera.
@@ -103,6 +108,39 @@ fn shapes(arm: &scene::Arm) -> Shapes {
 fn rotation(rows: &[[f64; 3]; 3]) -> Rotation3<f64> {
     let rows = rows.map(RowVector3::from);
     Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows))
+}
+
+/// What a capsule keeps off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Other {
+    /// The capsule of this index, which fewer joints move.
+    Link(u8),
+    /// The box of this index.
+    Box(u8),
+    /// The wall of this index.
+    Wall(u8),
+}
+
+/// Two bodies that keep apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pair {
+    /// Index of a capsule.
+    pub shape: u8,
+    /// The other body.
+    pub other: Other,
+}
+
+/// The shapes of an arm's links and of what is about it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shapes {
+    /// Of the links.
+    pub capsules: heapless::Vec<Capsule, MAX_CAPSULES>,
+    /// That do not move.
+    pub boxes: heapless::Vec<Cuboid, MAX_BOXES>,
+    /// Which of them keep apart.
+    pub pairs: heapless::Vec<Pair, MAX_PAIRS>,
+    /// Least distance of each pair, m.
+    pub clearance: f64,
 }
 
 /// A wall: points stay on the side that its normal shows to.

@@ -21,9 +21,8 @@ pub mod singularity;
 
 pub use bridge::{Bridge, Caps, Driver, Limited, Measured, Room};
 pub use capsule::{Capsule, Cuboid};
-pub use collision::{Other, Pair, Shapes};
 pub use damper::{Bound, Cause, Dampers};
-pub use description::{Arm, Wall};
+pub use description::{Arm, Other, Pair, Shapes, Wall};
 pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Screw, Twist};
 pub use limits::{JointLimits, Limits, Model, PERIOD, Setpoint};
 pub use mount::Mount;
