@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 use vpc::arm::Cause;
-use vpc::{Law, Measurement, Refusal, Settings, Strategy};
+use vpc::{Law, Measurement, Refusal, Settings, Step, Strategy};
 
 const PERIOD_NS: u64 = 33_333_333;
 
@@ -273,10 +273,7 @@ fn a_step_tells_what_of_the_arm_binds_its_command() {
             let camera = panda().chain.pose(&Joints::from(READY));
             change(scene.arm.as_mut().unwrap(), &camera);
             let mut law = law(&scene, Strategy::Previous);
-            let goal = Pose::from_parts(
-                Translation3::from(scene.goal.translation),
-                Rotation3::new(Vector3::from(scene.goal.rotation)),
-            );
+            let goal = goal(&scene);
             let points = seen(&scene, &(Translation3::new(0.0, 0.0, -away) * goal)).unwrap();
             law.see_joints(&READY, 0);
             let measured = Measurement::from_points(&points);
@@ -309,46 +306,50 @@ fn a_step_tells_what_of_the_arm_binds_its_command() {
 fn near_a_goal_behind_a_wall_it_stands_and_tells_the_wall() {
     let (mut scene, arm) = (scene(true), panda());
     let camera = arm.chain.pose(&Joints::from(READY));
-    let goal = Pose::from_parts(
-        Translation3::from(scene.goal.translation),
-        Rotation3::new(Vector3::from(scene.goal.rotation)),
-    );
     // The goal is 10 cm below, and the wall 6 cm.
-    let object = camera * Translation3::new(0.0, 0.0, 0.1) * goal;
+    let object = camera * Translation3::new(0.0, 0.0, 0.1) * goal(&scene);
     let (normal, offset) = ([0.0, 0.0, 1.0], camera.translation.z - 0.06);
     let wall = scene::Wall { normal, offset };
     scene.arm.as_mut().unwrap().walls.push(wall).unwrap();
-    let mut law = law(&scene, Strategy::Foresight);
-    let mut q = Joints::from(READY);
-    let (mut last, mut lowest) = (None, f64::INFINITY);
+    let mut lowest = f64::INFINITY;
+    let step = steered(&scene, &arm, &object, |q| {
+        lowest = lowest.min(arm.chain.pose(q).translation.z);
+    });
+    assert!(lowest > offset - 1e-4, "{lowest}");
+    assert!((5.0..50.0).contains(&step.error_px), "{}", step.error_px);
+    assert_eq!((step.stands, step.cause), (true, Some(Cause::Wall(0))));
+}
+
+/// The last step of 15 s from the ready position in front of an object, with a robot that obeys.
+fn steered(scene: &Scene, arm: &Arm, object: &Pose, mut look: impl FnMut(&Joints)) -> Step {
+    let mut law = law(scene, Strategy::Foresight);
+    let (mut q, mut last) = (Joints::from(READY), Step::default());
     for k in 0..450 {
-        let points = seen(&scene, &(arm.chain.pose(&q).inverse() * object)).unwrap();
+        let points = seen(scene, &(arm.chain.pose(&q).inverse() * object)).unwrap();
         let now_ns = k * PERIOD_NS;
         law.see_joints(q.as_slice(), now_ns);
         let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
-        let step = law.step(&measured, None).unwrap();
-        law.sent(&step.twist, now_ns);
-        law.sent_elbow(step.elbow);
+        last = law.step(&measured, None).unwrap();
+        law.sent(&last.twist, now_ns);
+        law.sent_elbow(last.elbow);
         law.think(None);
-        q = arm.moved(&q, &step.twist, step.elbow, 1.0 / 30.0);
-        lowest = lowest.min(arm.chain.pose(&q).translation.z);
-        last = Some((step.stands, step.cause, step.error_px));
+        q = arm.moved(&q, &last.twist, last.elbow, 1.0 / 30.0);
+        look(&q);
     }
-    let (stands, cause, error_px) = last.unwrap();
-    assert!(lowest > offset - 1e-4, "{lowest}");
-    assert!((5.0..50.0).contains(&error_px), "{error_px}");
-    assert_eq!((stands, cause), (true, Some(Cause::Wall(0))));
+    last
+}
+
+/// The object in a camera at its goal.
+fn goal(scene: &Scene) -> Pose {
+    Pose::from_parts(
+        Translation3::from(scene.goal.translation),
+        Rotation3::new(Vector3::from(scene.goal.rotation)),
+    )
 }
 
 #[test]
 fn a_way_that_presses_a_link_into_a_box_or_wall_ends_at_the_clearance_and_tells_what_is_near() {
     let camera = panda().chain.pose(&Joints::from(READY));
-    let goal = |scene: &Scene| {
-        Pose::from_parts(
-            Translation3::from(scene.goal.translation),
-            Rotation3::new(Vector3::from(scene.goal.rotation)),
-        )
-    };
     // The goal is 10 cm below. The hand's lowest point is 7.5 cm below the camera, and a box or a
     // table 5 cm below that; the box is as far from the camera's own way as the hand reaches.
     let top = camera.translation.z - 0.075 - 0.05;
@@ -382,26 +383,13 @@ fn a_way_that_presses_a_link_into_a_box_or_wall_ends_at_the_clearance_and_tells_
         known.pairs.extend(pairs);
         let (arm, clearance) = (arm::Arm::from(&*known), known.clearance);
         let object = camera * Translation3::new(0.0, 0.0, 0.1) * goal(&scene);
-        let mut law = law(&scene, Strategy::Foresight);
-        let mut q = Joints::from(READY);
-        let (mut last, mut nearest) = (None, f64::INFINITY);
-        for k in 0..450 {
-            let points = seen(&scene, &(arm.chain.pose(&q).inverse() * object)).unwrap();
-            let now_ns = k * PERIOD_NS;
-            law.see_joints(q.as_slice(), now_ns);
-            let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
-            let step = law.step(&measured, None).unwrap();
-            law.sent(&step.twist, now_ns);
-            law.sent_elbow(step.elbow);
-            law.think(None);
-            q = arm.moved(&q, &step.twist, step.elbow, 1.0 / 30.0);
-            let distances = arm.distances(&q).map(|(_, distance)| distance);
+        let mut nearest = f64::INFINITY;
+        let step = steered(&scene, &arm, &object, |q| {
+            let distances = arm.distances(q).map(|(_, distance)| distance);
             nearest = distances.fold(nearest, f64::min);
-            last = Some((step.stands, step.cause, step.error_px));
-        }
-        let (stands, cause, error_px) = last.unwrap();
-        let Some(Cause::Near(pair)) = cause else {
-            panic!("{cause:?}, {nearest}");
+        });
+        let Some(Cause::Near(pair)) = step.cause else {
+            panic!("{:?}, {nearest}", step.cause);
         };
         let is_named = match pair.other {
             vpc::arm::Other::Box(0) => of_box,
@@ -413,7 +401,7 @@ fn a_way_that_presses_a_link_into_a_box_or_wall_ends_at_the_clearance_and_tells_
             nearest > clearance - 1e-4 && nearest < clearance + 2e-3,
             "{nearest}"
         );
-        assert!(stands && error_px > 5.0, "{error_px}");
+        assert!(step.stands && step.error_px > 5.0, "{}", step.error_px);
     }
 }
 

@@ -43,7 +43,8 @@ pub struct Advice {
 }
 
 /// Names the likely mistakes. A file that is right, but about the other frame or the other way
-/// round, is told from a wrong one; an arm file is about one frame only. `None` where no pose of the pattern fits an image.
+/// round, is told from a wrong one; an arm file is about one frame only. `None` where no pose of
+/// the pattern fits an image.
 pub fn advise(
     scene: &Scene,
     hand_eye: &HandEye,

@@ -101,6 +101,12 @@ fn what_contradicts_the_arm_of_the_scene_is_refused() {
             78,
             "at least 0.25, the speed",
         ),
+        (
+            "--config",
+            "interface = 'cartesian'",
+            78,
+            "interface = cartesian; allowed: joint: the elbow",
+        ),
     ] {
         let value = file("changed.toml", text);
         let said = said(&place, &[("--scene", &scene), (flag, &value)]);
