@@ -46,7 +46,7 @@ impl Policy<'_> {
         present: &Present<'_>,
         aim: &Points,
         target: &Points,
-    ) -> (Twist, Solution, f64) {
+    ) -> (Twist, Solution) {
         let Present {
             initial,
             warm,
@@ -68,8 +68,7 @@ impl Policy<'_> {
         };
         let braking = repeated(&problem.braking());
         let solution = solver.solve_from(&problem, &[*warm, braking]);
-        let elbow = dampers.as_ref().map_or(0.0, |dampers| dampers.elbow);
-        (limit::command(solver, &problem, &solution), solution, elbow)
+        (limit::command(solver, &problem, &solution), solution)
     }
 
     /// l(v) of a command, held over the window, always against the goal with the fixed schedule of

@@ -645,7 +645,7 @@ impl Thinker<'_> {
                 extra_px: self.extra_px,
                 dampers: dampers.as_ref(),
             };
-            let (twist, solution, elbow) = policy.command(self.solver, &present, aim, aim);
+            let (twist, solution) = policy.command(self.solver, &present, aim, aim);
             let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost,
@@ -660,7 +660,7 @@ impl Thinker<'_> {
             }
             (now.previous, now.standing) = (solution.warm(&twist), twist);
             now.step += 1;
-            initial.elbow = elbow;
+            initial.elbow = dampers.map_or(0.0, |dampers| dampers.elbow);
             match initial.moved(task, settings.model, &twist, task.ts) {
                 Some(next) => initial = next,
                 None => return ended(&now, Outcome::Unknown),

@@ -457,7 +457,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         }
         step.twist = self.slowed(&initial, dampers, &step.twist);
         step.cause = arm::cause(dampers, &step.twist, &self.task.limits);
-        step.elbow = dampers.map_or(0.0, |dampers| dampers.elbow);
+        // An arm that stands moves no elbow, either.
+        let turning = dampers.filter(|_| !step.stands);
+        step.elbow = turning.map_or(0.0, |dampers| dampers.elbow);
         self.predict(&initial, &step.twist);
         let policy = Policy {
             task: &self.task,
@@ -870,7 +872,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             step.status = Status::NumericalFailure;
             return;
         };
-        let (twist, solution, _) = policy.command(&mut solver, &present, aim, &target);
+        let (twist, solution) = policy.command(&mut solver, &present, aim, &target);
         step.twist = twist;
         step.status = solution.status;
         step.iterations = solution.iterations;
