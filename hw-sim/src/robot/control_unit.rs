@@ -12,8 +12,11 @@ use panda::{
 
 use super::description::urdf;
 
-/// Largest part by which a rotation may miss orthonormality.
-const ORTHONORMAL: f64 = 1e-5;
+/// By how much the length of a rotation's rows and columns may miss 1, as the vendor's library has
+/// it: 0.7071 passes.
+const UNIT: f64 = 1e-5;
+/// Largest cosine between two of its columns. The library does not look at that.
+const ASKEW: f64 = 1e-4;
 /// Angle of joint 4 at which the elbow changes its sign, rad: where the arm is stretched out.
 const STRETCHED: f64 = -0.467;
 
@@ -308,17 +311,25 @@ fn pose(transform: &Transform) -> Option<Pose> {
     let rotation = Matrix3::from_fn(at);
     let translation = Vector3::from_fn(|row, _| at(row, 3));
     let last = [at(3, 0), at(3, 1), at(3, 2), at(3, 3)];
-    let miss = (rotation.transpose() * rotation - Matrix3::identity()).amax();
+    let is_unit = |length: f64| (length - 1.0).abs() <= UNIT;
+    let columns = rotation.column_iter().map(|column| column.norm());
+    let rows = rotation.row_iter().map(|row| row.norm());
+    let cosines = (rotation.transpose() * rotation).map_with_location(|i, k, x| match i == k {
+        true => 0.0,
+        false => x,
+    });
     let is_pose = last == [0.0, 0.0, 0.0, 1.0]
-        && miss <= ORTHONORMAL
+        && columns.chain(rows).all(is_unit)
+        && cosines.amax() <= ASKEW
         && rotation.determinant() > 0.0
         && translation.iter().all(|x| x.is_finite());
-    is_pose.then(|| {
-        Pose::from_parts(
-            Translation3::from(translation),
-            Rotation3::from_matrix_unchecked(rotation),
-        )
-    })
+    if !is_pose {
+        return None;
+    }
+    // The nearest rotation.
+    let svd = rotation.svd(true, true);
+    let exact = Rotation3::from_matrix_unchecked(svd.u? * svd.v_t?);
+    Some(Pose::from_parts(Translation3::from(translation), exact))
 }
 
 #[cfg(test)]
@@ -333,11 +344,31 @@ mod tests {
         let half = std::f64::consts::FRAC_1_SQRT_2;
         assert!((sent[0] - half).abs() < 1e-9 && (sent[1] + half).abs() < 1e-9);
         assert_eq!(sent[14], 0.1034);
-        assert_eq!(pose(&sent), Some(hand));
+        let apart = pose(&sent).unwrap().to_homogeneous() - hand.to_homogeneous();
+        assert!(apart.amax() < 1e-14);
         for (place, value) in [(0, 0.9), (15, 2.0), (12, f64::NAN), (0, f64::NAN)] {
             let mut wrong = sent;
             wrong[place] = value;
             assert_eq!(pose(&wrong), None);
         }
+    }
+
+    #[test]
+    fn a_rotation_that_was_rounded_is_taken_as_the_vendors_library_takes_it() {
+        let about_z = |cosine: f64, sine: f64| {
+            let mut sent = IDENTITY;
+            (sent[0], sent[1]) = (cosine, sine);
+            (sent[4], sent[5]) = (-sine, cosine);
+            sent
+        };
+        let half = std::f64::consts::FRAC_1_SQRT_2;
+        let rounded = (1e4 * half).round() / 1e4;
+        let taken = pose(&about_z(rounded, rounded)).unwrap();
+        assert!((taken.rotation[(0, 0)] - half).abs() < 1e-12);
+        assert_eq!(pose(&about_z(rounded - 1e-5, rounded - 1e-5)), None);
+        // Rows and columns of length 1, but no rotation.
+        let mut askew = about_z(half, half);
+        askew[4] = half;
+        assert_eq!(pose(&askew), None);
     }
 }
