@@ -120,16 +120,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         lend: impl FnOnce(usize) -> W,
     ) -> Result<Self, SettingsError> {
         settings.check()?;
-        let mut task = Task::new(scene)?;
-        task.acceleration = settings.acceleration(&scene.limits);
-        let stop_s = task.period + task.stop_s(&task.limits);
-        // The window is long enough for a stop.
-        task.ts = settings
-            .step_s
-            .max(task.period)
-            .max(stop_s / settings.np as f64);
-        task.reach = task.ts.max(stop_s);
-        let crossing = Crossing::of(scene, &task);
+        // Apart: their frames would not fit on a small stack together where nothing is optimized.
+        Self::of(task(scene, &settings)?, scene, settings, lend)
+    }
+
+    fn of(
+        task: Task,
+        scene: &Scene,
+        settings: Settings,
+        lend: impl FnOnce(usize) -> W,
+    ) -> Result<Self, SettingsError> {
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         let share = Share::of(&task, &settings)?;
         let needed = share.size.workspace();
@@ -149,8 +149,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             lead_s: 0.0,
             share,
             horizon: horizon.max(1.0) as u32,
+            crossing: Crossing::of(scene, &task),
             task,
-            crossing,
         })
     }
 
@@ -920,6 +920,20 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             None => (PlainPoints::NONE, None),
         };
     }
+}
+
+/// The task of a scene under these settings.
+fn task(scene: &Scene, settings: &Settings) -> Result<Task, SettingsError> {
+    let mut task = Task::new(scene)?;
+    task.acceleration = settings.acceleration(&scene.limits);
+    let stop_s = task.period + task.stop_s(&task.limits);
+    // The window is long enough for a stop.
+    task.ts = settings
+        .step_s
+        .max(task.period)
+        .max(stop_s / settings.np as f64);
+    task.reach = task.ts.max(stop_s);
+    Ok(task)
 }
 
 /// What the law may do in a period, in counted [work](crate::work).

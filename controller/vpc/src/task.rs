@@ -96,8 +96,6 @@ impl Task {
         if count > MAX_ALL_PARTS {
             return Err(TaskError::TooManyParts { count });
         }
-        let parts: heapless::Vec<Part, MAX_ALL_PARTS> = scene.parts().copied().collect();
-        let areas: heapless::Vec<Area, MAX_AREAS> = scene.areas().copied().collect();
         let (mut goal, mut goal_depth) = (Points::new(), heapless::Vec::new());
         for (point, x) in placed(&scene.pattern, &scene.goal).enumerate() {
             let behind = TaskError::GoalBehindCamera { point };
@@ -115,15 +113,16 @@ impl Task {
             limits: scene.limits.velocity(),
             acceleration: scene.limits.acceleration(),
             cost: scene.cost,
-            parts,
-            areas,
+            parts: scene.parts().copied().collect(),
+            areas: scene.areas().copied().collect(),
             period: scene.sampling_time(),
             ts: scene.sampling_time(),
             reach: scene.sampling_time(),
             half_diagonal: scene.camera.fx.max(scene.camera.fy) * scene.marker_size * FRAC_1_SQRT_2,
-            arm: scene.arm.as_ref().map(Arm::from),
+            arm: None,
             boxes: heapless::Vec::new(),
         };
+        task.arm = scene.arm.as_ref().map(Arm::from);
         task.boxes = task.obstacles().map(Obstacle::bounding_box).collect();
         task.check_goal()?;
         Ok(task)
