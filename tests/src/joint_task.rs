@@ -8,9 +8,9 @@
 //! | e | `error` | features less those at the goal, normalized coordinates |
 //! | J | `jacobian` | interaction matrix times the camera's Jacobian: de/dt = J dq |
 //! | dq1 = -lambda J^+ e | `first` | the visual task, rad/s |
-//! | P | [`projector`] | the large projection operator |
+//! | P | `projector` | the large projection operator |
 //! | dq2 | | the secondary task, a part for each joint near an end |
-//! | rho, rho1, lambda_i | [`RHO`], [`RHO_1`], [`MORE`] | zones and push, ViSP's defaults |
+//! | rho, rho1, lambda_i | `RHO`, `RHO_1`, `MORE` | zones and push, ViSP's defaults |
 //!
 //! Source: M. Marey and F. Chaumette, "A new large projection operator for the redundancy
 //! framework", ICRA 2010, Eq. 24; "New strategies for avoiding robot joint limits: application to

@@ -4,7 +4,7 @@
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
 //! | s | [`elbow`](crate::ik::elbow) | joints' velocities: elbow at 1 rad/s, camera at rest |
-//! | w | [`rate`] | velocity of the elbow, rad/s |
+//! | w | `rate` | velocity of the elbow, rad/s |
 //! | c_k | `crowding` | how near joint k is to an end of its range, -1 to 1; positive: the lower |
 //! | P | `PUSH` | velocity that an end asks for |
 //! | e | `strain` | nearness to a singular posture |
