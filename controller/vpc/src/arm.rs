@@ -61,7 +61,7 @@ impl Posture {
     }
 }
 
-/// The joints after the camera has moved at `twist`, and the elbow at `elbow`, rad/s, for `seconds`.
+/// The joints after `seconds`, in which the camera moves at `twist` and the elbow at `elbow`, rad/s.
 pub(crate) fn moved(
     arm: Option<&Arm>,
     q: Option<&Joints>,

@@ -62,7 +62,8 @@ pub struct Command {
     pub id: u64,
     /// The commanded velocity, m/s and rad/s or rad/s for each joint.
     pub motion: Motion,
-    /// Position of joint 3, the elbow, rad, of a Cartesian motion; `None`: where the motion began.
+    /// Position of joint 3, the elbow, rad, in a Cartesian motion; `None`: as last told, at first
+    /// where the motion began.
     pub elbow: Option<f64>,
     /// The last command of this motion. The next would be zero: a robot that still moves goes into
     /// reflex.

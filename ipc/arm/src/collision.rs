@@ -11,7 +11,7 @@
 //! |---|---|---|
 //! | n | `Gap::normal` | unit vector from the one body to the other |
 //! | p | `Gap::point` | the nearest point of the one |
-//! | h = n (x - p) - r | `Row::left` | what is left to an end x of the other's axis; r: radii, clearance |
+//! | h = n (x - p) - r | `Row::left` | what is left to an end x of the other's axis; r: radii, gap |
 //! | dh/dq | `Row::gradient` | n times the velocity of x as seen from the one |
 //!
 //! The distance itself has the derivative of the point that is nearest: a mean of those of the two
