@@ -1,12 +1,13 @@
 //! Starts at the edge of what an arm can do: near the ends of its joints' ranges, and near singular
 //! postures.
 
-use arm::{Arm, Chain, Joints, ShaperSettings};
+use arm::ik::{ELBOW, posture};
+use arm::{Arm, Chain, Joints, Slack};
 use hw_sim::camera::project;
 use hw_sim::pose::{from_scene, to_scene};
 use hw_sim::referee::Referee;
 use hw_sim::robot::arm::{ArmSettings, base_from_object};
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
@@ -28,11 +29,14 @@ pub enum Edge {
     Singular,
 }
 
-/// The index of joint 3.
-pub(crate) const ELBOW: usize = 2;
-/// Most steps of a try, and the longest, rad.
+/// Most steps of a try.
 const STEPS: usize = 60;
-const LONGEST: f64 = 0.3;
+/// What a posture at the goal leaves at least: nothing.
+const NOTHING: Slack = Slack {
+    joints: 0.0,
+    strain: 0.0,
+    space: 0.0,
+};
 
 /// A posture, and the object in its camera.
 #[derive(Clone, Copy, Debug)]
@@ -64,6 +68,7 @@ impl Goal {
     /// By Newton steps from random postures, with joint 3 at `elbow`, rad, and without.
     pub fn search(scene: &Scene, arm: &Arm, elbow: f64, random: &mut impl Rng) -> Self {
         let camera = base_from_object() * from_scene(&scene.goal).inverse();
+        let accelerations = scene.limits.acceleration();
         let mut finds = |elbow: Option<f64>| {
             (0..TRIES).any(|_| {
                 let mut q = Joints::from_fn(|k, _| {
@@ -71,7 +76,8 @@ impl Goal {
                     random.random_range(least..most)
                 });
                 q[ELBOW] = elbow.unwrap_or(q[ELBOW]);
-                solved(&arm.chain, q, &camera, elbow.is_some()).is_some_and(|q| is_within(arm, &q))
+                let (found, _) = posture(&arm.chain, q, &camera, elbow.is_some(), STEPS);
+                found.is_some_and(|q| Slack::at(arm, &q, &accelerations).is_at_least(&NOTHING))
             })
         };
         if finds(Some(elbow)) {
@@ -82,51 +88,6 @@ impl Goal {
             Self::Nowhere
         }
     }
-}
-
-/// The posture near `q` that brings the end of a chain to a pose, if the steps find one.
-fn solved(chain: &Chain, mut q: Joints, wanted: &arm::Pose, is_held: bool) -> Option<Joints> {
-    for _ in 0..STEPS {
-        let (at, mut jacobian) = chain.at(&q);
-        let apart = wanted.translation.vector - at.translation.vector;
-        // The angle of a rotation matrix is NaN where rounding takes its trace past 3.
-        let turn = wanted.rotation * at.rotation.inverse();
-        let turn = UnitQuaternion::from_rotation_matrix(&turn).scaled_axis();
-        let error = arm::Twist::new(apart.x, apart.y, apart.z, turn.x, turn.y, turn.z);
-        if error.norm() < 1e-9 {
-            return Some(q);
-        }
-        if is_held {
-            jacobian.column_mut(ELBOW).fill(0.0);
-        }
-        let step = arm::ik::inverse(&jacobian) * error;
-        q += step * (LONGEST / step.amax()).min(1.0);
-    }
-    None
-}
-
-/// Whether joints, singular postures, walls and links are as far away as the law keeps them.
-fn is_within(arm: &Arm, q: &Joints) -> bool {
-    let is_clear = |k: usize| {
-        arm.limits.0[k]
-            .room(q[k])
-            .iter()
-            .all(|room| *room >= arm.margin)
-    };
-    let shaper = ShaperSettings::default();
-    let strain = arm::singularity::strain(&arm.shaped, &arm.limits, &shaper, q);
-    let camera = arm.chain.pose(q);
-    let points = arm.points.iter().map(|point| camera * Point3::from(*point));
-    let is_free = |point: Point3<f64>| {
-        arm.walls
-            .iter()
-            .all(|wall| wall.distance(&point.coords) >= 0.0)
-    };
-    let mut distances = arm.distances(q);
-    (0..arm.chain.count()).all(is_clear)
-        && strain <= arm.strain
-        && points.into_iter().all(is_free)
-        && distances.all(|(_, distance)| distance >= arm.shapes.clearance)
 }
 
 /// Postures from which the camera sees every point, near an end and near a singular posture in

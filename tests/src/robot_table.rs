@@ -153,7 +153,12 @@ pub fn table(
     let goal = |start: usize, edge: Option<&Start>| {
         let (edge, arm) = edge.zip(known.as_ref())?;
         let mut random = ChaCha8Rng::seed_from_u64(start as u64);
-        Some(Goal::search(scene, arm, edge.q[edge::ELBOW], &mut random))
+        Some(Goal::search(
+            scene,
+            arm,
+            edge.q[arm::ik::ELBOW],
+            &mut random,
+        ))
     };
     for &spec in &common.strategies {
         let settings = law(flags, common.settings(spec));

@@ -79,6 +79,7 @@ pub fn record_foresight(foresight: &Foresight, step_s: f64, record: &mut CycleRe
         Kind::Aside => ForesightCode::Aside,
         Kind::Neighbour => ForesightCode::Neighbour,
         Kind::Regression => ForesightCode::Regression,
+        Kind::Joints => ForesightCode::Joints,
     }
     .code();
     record.candidates = foresight.tried;

@@ -21,7 +21,7 @@
 )]
 
 use crate::prediction::Preview;
-use crate::problem::Problem;
+use crate::problem::{Problem, Weights};
 use crate::task::Task;
 use crate::{DOF, features};
 
@@ -54,12 +54,13 @@ pub fn value<const N: usize>(
     preview: &Preview<'_, N>,
     plan: &[f64; N],
 ) -> f64 {
-    let Problem {
-        task,
-        target,
-        initial,
+    let Problem { task, target, .. } = problem;
+    let Weights {
+        k_q,
+        r_share,
+        wanted,
         ..
-    } = problem;
+    } = problem.weights();
     let error: f64 = (0..preview.np())
         .flat_map(|j| preview.step(j).iter().zip(*target))
         .map(|(s, t)| (s[0] - t[0]) * (s[0] - t[0]) + (s[1] - t[1]) * (s[1] - t[1]))
@@ -67,16 +68,12 @@ pub fn value<const N: usize>(
     let effort: f64 = (0..preview.np() - 1)
         .map(|j| {
             let command = &plan[preview.offset(j)..];
-            let pairs = task
-                .cost
-                .r
-                .iter()
-                .zip(command.iter().zip(initial.drift.twist));
+            let pairs = task.cost.r.iter().zip(command.iter().zip(wanted));
             let weighted = pairs.map(|(r, (v, d))| r * (v - d) * (v - d));
             weighted.sum::<f64>()
         })
         .sum();
-    task.cost.k_q * error + problem.r_share * effort
+    k_q * error + r_share * effort
 }
 
 /// c(V) of a plan.
@@ -85,7 +82,7 @@ pub fn change<const N: usize>(problem: &Problem<'_>, plan: &[f64; N]) -> f64 {
         let step = plan[k] - before(problem, plan, k);
         problem.task.cost.r[k % DOF] * step * step
     });
-    problem.change_share * squares.sum::<f64>()
+    problem.weights().change_share * squares.sum::<f64>()
 }
 
 /// The variable from which the `k`-th is a change.
@@ -99,14 +96,14 @@ fn before<const N: usize>(problem: &Problem<'_>, plan: &[f64; N], k: usize) -> f
 impl<const N: usize> Expansion<N> {
     /// The expansion of l(V) + c(V) about a previewed plan.
     pub fn about(problem: &Problem<'_>, preview: &Preview<'_, N>, plan: &[f64; N]) -> Self {
-        let Problem {
-            task,
-            target,
+        let Problem { task, target, .. } = *problem;
+        let Weights {
+            k_q,
             r_share,
-            initial,
-            ..
-        } = *problem;
-        let two_q = 2.0 * task.cost.k_q;
+            change_share,
+            wanted,
+        } = problem.weights();
+        let two_q = 2.0 * k_q;
         let (mut gradient, mut hessian) = ([0.0; N], [[0.0; N]; N]);
         for step in preview.steps() {
             for (point, target) in step.zip(target) {
@@ -126,13 +123,13 @@ impl<const N: usize> Expansion<N> {
         for j in 0..preview.np() - 1 {
             let offset = preview.offset(j);
             for (k, r) in task.cost.r.iter().enumerate() {
-                let relative = plan[offset + k] - initial.drift.twist[k];
+                let relative = plan[offset + k] - wanted[k];
                 gradient[offset + k] += 2.0 * r_share * r * relative;
                 hessian[offset + k][offset + k] += 2.0 * r_share * r;
             }
         }
         for k in 0..N {
-            let weight = 2.0 * problem.change_share * task.cost.r[k % DOF];
+            let weight = 2.0 * change_share * task.cost.r[k % DOF];
             let pull = weight * (plan[k] - before(problem, plan, k));
             gradient[k] += pull;
             hessian[k][k] += weight;

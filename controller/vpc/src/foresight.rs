@@ -26,14 +26,16 @@ use serde::{Deserialize, Serialize};
 use crate::command::{Policy, Present};
 use crate::crossing::{self, Crossing};
 use crate::features::{self, MAX_INPUTS, PlainPoints};
-use crate::guide::{Guide, Kind};
+use crate::guide::{At, Guide, Kind};
+use crate::joint_path::JointPath;
 use crate::motion::Own;
 use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
 use crate::recall::{self, MotionMemory, Recall};
 use crate::solver::Solver;
 use crate::strategy::Strategy;
-use crate::{MAX_POINTS, Points, Twist, gate};
+use crate::task::Task;
+use crate::{MAX_POINTS, Points, Twist, gate, random};
 
 /// A candidate that arrives replaces another one that arrives if it costs less than this share of
 /// the other's cost.
@@ -159,6 +161,10 @@ pub struct Foresight {
     pub suspended: Option<Suspended>,
     /// Samples drawn so far; the seed of the next one.
     pub drawn: u64,
+    /// Whether a path in the joints was found that is no candidate yet.
+    pub has_new_path: bool,
+    /// Cycles in a row in which no way was known.
+    pub lost: u32,
     /// Candidates tried in the last cycle, without the incumbent.
     pub tried: u32,
     /// Steps simulated in the last cycle.
@@ -175,6 +181,28 @@ impl Foresight {
         matches!(self.outcome, Outcome::Arrives { .. })
     }
 
+    /// Whether the incumbent, or the future that is being simulated, goes along a path in the
+    /// joints.
+    pub(crate) fn needs_path(&self) -> bool {
+        let is_along = |guide: &Guide| guide.kind == Kind::Joints;
+        self.has_new_path
+            || is_along(&self.guide)
+            || self.suspended.is_some_and(|rest| is_along(&rest.candidate))
+    }
+
+    /// Advances the expectations by one period, which cost `spent`.
+    pub(crate) fn pass(&mut self, task: &Task, spent: f64) {
+        let passed = task.period / task.ts;
+        self.trusted += passed;
+        if let Some(suspended) = &mut self.suspended {
+            suspended.since += passed;
+            suspended.spent += spent;
+        }
+        if let Outcome::Arrives { cost, steps } = &mut self.outcome {
+            (*cost, *steps) = (*cost - spent, *steps - passed);
+        }
+    }
+
     /// The state before the first cycle.
     pub const NONE: Self = Self {
         guide: Guide::GOAL,
@@ -183,6 +211,8 @@ impl Foresight {
         trusted: TRUSTED,
         suspended: None,
         drawn: 0,
+        has_new_path: false,
+        lost: 0,
         tried: 0,
         simulated: 0,
         work: 0,
@@ -253,6 +283,8 @@ pub(crate) struct Thinker<'a> {
     pub policy: Policy<'a>,
     pub solver: &'a mut Solver<'a>,
     pub memory: Option<&'a dyn MotionMemory>,
+    /// The path in the joints that was found last.
+    pub path: &'a JointPath,
     /// Where futures may cross an occlusion.
     pub crossing: Option<&'a Crossing>,
     /// For how long a future may take points out of sight, s.
@@ -292,10 +324,15 @@ impl Thinker<'_> {
         foresight.tried = 0;
         let answers = self.ask();
         let direct = foresight.guide.direct();
-        if !is_far && foresight.guide != direct {
+        let is_along = foresight.guide.kind == Kind::Joints;
+        if !is_far && !is_along && foresight.guide != direct {
             (foresight.guide, foresight.suspended) = (direct, None);
         }
-        self.pass(foresight);
+        foresight.pass(self.policy.task, self.spent);
+        foresight.lost = match foresight.knows_a_way() {
+            true => 0,
+            false => foresight.lost.saturating_add(1),
+        };
         let suspended = foresight.suspended.take().map(|rest| match rest.step {
             // It has not begun: the camera has moved on since.
             0 => Suspended {
@@ -310,6 +347,12 @@ impl Thinker<'_> {
             candidate => (None, candidate),
         };
         let mut best = self.incumbent(foresight, rest);
+        if foresight.has_new_path && foresight.suspended.is_none() {
+            // It goes before a candidate that is under way.
+            foresight.has_new_path = false;
+            let along = self.begun(Guide::along(self.path));
+            self.consider(along, &mut best, foresight);
+        }
         if is_far && foresight.suspended.is_none() {
             self.improve(&answers, &mut best, foresight, candidate);
         }
@@ -321,19 +364,6 @@ impl Thinker<'_> {
             (best.guide, best.outcome, best.path);
         foresight.simulated = self.simulated;
         foresight.work = self.solver.done();
-    }
-
-    /// Advances the expectations by one period.
-    fn pass(&self, foresight: &mut Foresight) {
-        let passed = self.policy.task.period / self.policy.task.ts;
-        foresight.trusted += passed;
-        if let Some(suspended) = &mut foresight.suspended {
-            suspended.since += passed;
-            suspended.spent += self.spent;
-        }
-        if let Outcome::Arrives { cost, steps } = &mut foresight.outcome {
-            (*cost, *steps) = (*cost - self.spent, *steps - passed);
-        }
     }
 
     /// The incumbent with its future, as promised or simulated again.
@@ -617,7 +647,7 @@ impl Thinker<'_> {
             }
             now.path.note(now.step, &initial.points);
             let error_px = features::largest_error(&initial.points, &task.goal);
-            if error_px < FAR * self.converged_px {
+            if error_px < FAR * self.converged_px && now.guide.kind != Kind::Joints {
                 now.guide = now.guide.direct();
             }
             if error_px < PROGRESS * now.nearest_px {
@@ -634,9 +664,16 @@ impl Thinker<'_> {
             }
             self.budget -= 1;
             self.simulated += 1;
-            let tracked = now.guide.advance(&initial.points, self.converged_px, 1.0);
+            let towards = now.guide.posture(self.path);
+            let dampers = task.dampers(initial.q.as_ref(), task.ts, towards);
+            let at = At {
+                task,
+                points: &initial.points,
+                q: initial.q.as_ref(),
+                path: self.path,
+            };
+            let tracked = now.guide.advance(&at, self.converged_px, 1.0);
             let aim = tracked.as_ref().unwrap_or(&task.goal);
-            let dampers = task.dampers(initial.q.as_ref(), task.ts);
             let present = Present {
                 initial: &initial,
                 standing: &now.standing,
@@ -646,7 +683,8 @@ impl Thinker<'_> {
                 dampers: dampers.as_ref(),
             };
             let (twist, solution) = policy.command(self.solver, &present, aim, aim);
-            let cost = match now.guide.ahead == 0 && settings.nc == 1 && solution.sends(&twist) {
+            let is_to_goal = now.guide.ahead == 0 && towards.is_none();
+            let cost = match is_to_goal && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost,
                 false => policy.running_cost(self.solver, &initial, &twist),
@@ -660,7 +698,7 @@ impl Thinker<'_> {
             }
             (now.previous, now.standing) = (solution.warm(&twist), twist);
             now.step += 1;
-            initial.elbow = dampers.map_or(0.0, |dampers| dampers.elbow);
+            initial.elbow = dampers.map_or(0.0, |dampers| dampers.elbow(&twist));
             match initial.moved(task, settings.model, &twist, task.ts) {
                 Some(next) => initial = next,
                 None => return ended(&now, Outcome::Unknown),
@@ -671,12 +709,9 @@ impl Thinker<'_> {
     }
 }
 
-/// A number in [0, 1) that follows from two others (SplitMix64).
+/// A number in [0, 1) that follows from two others.
 fn uniform(number: u64, index: u64) -> f64 {
-    let mut z = (8 * number + index).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    random::uniform(8 * number + index)
 }
 
 #[cfg(test)]

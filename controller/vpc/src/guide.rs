@@ -2,8 +2,12 @@
 
 use serde::{Deserialize, Serialize};
 
+use ::arm::Joints;
+
 use crate::Points;
 use crate::features::{self, PlainPoints};
+use crate::joint_path::JointPath;
+use crate::task::Task;
 
 /// Most sub-goals of a guide.
 pub const MOST: usize = 2;
@@ -11,6 +15,14 @@ pub const MOST: usize = 2;
 const LENGTH: f64 = 25.0;
 /// Steps without progress after which a sub-goal is given up.
 const BLOCKED: f64 = 3.0;
+/// The same three of a place of a path in the joints, which is passed at a distance, px.
+const PLACE_LENGTH: f64 = 100.0;
+const PLACE_BLOCKED: f64 = 20.0;
+const PASSED_PX: f64 = 10.0;
+/// The same of the last place.
+const LAST_PX: f64 = 0.5;
+/// Pixels that 1 rad or m of a joint counts as.
+const JOINT_PX: f64 = 200.0;
 /// Rounding of a sum of shares of steps.
 const ROUNDING: f64 = 1e-6;
 /// Decrease of the distance to the sub-goal that is progress, px.
@@ -29,6 +41,8 @@ pub enum Kind {
     Neighbour,
     /// The way point that the Gaussian process infers.
     Regression,
+    /// The places of a [path in the joints](crate::joint_path).
+    Joints,
 }
 
 impl Kind {
@@ -36,6 +50,17 @@ impl Kind {
     pub fn is_remembered(self) -> bool {
         matches!(self, Self::Sample | Self::Neighbour | Self::Regression)
     }
+}
+
+/// Where the law or one of its futures is.
+pub(crate) struct At<'a> {
+    pub task: &'a Task,
+    /// The features, px.
+    pub points: &'a [[f64; 2]],
+    /// The joints of the arm, where it is known.
+    pub q: Option<&'a Joints>,
+    /// The path in the joints that was found last.
+    pub path: &'a JointPath,
 }
 
 /// Sub-goals, one after the other, each until it is reached or given up; then the goal. Plain data.
@@ -98,23 +123,61 @@ impl Guide {
         }
     }
 
+    /// A guide along a path in the joints.
+    pub fn along(path: &JointPath) -> Self {
+        Self {
+            kind: Kind::Joints,
+            ahead: path.count,
+            left: PLACE_LENGTH,
+            ..Self::GOAL
+        }
+    }
+
+    /// The posture of the present sub-goal, where it has one.
+    pub(crate) fn posture(&self, path: &JointPath) -> Option<Joints> {
+        path.posture(self.ahead)
+            .filter(|_| self.kind == Kind::Joints)
+    }
+
+    /// The present sub-goal, and how far it is away, px.
+    fn target(&self, at: &At) -> Option<(Points, f64)> {
+        if self.kind != Kind::Joints {
+            let target = self
+                .targets
+                .get(self.ahead.checked_sub(1)? as usize)?
+                .get()?;
+            let away_px = features::largest_error(at.points, &target);
+            return Some((target, away_px));
+        }
+        let (target, posture) = at.path.target(at.task, self.ahead)?;
+        Some((target, JOINT_PX * (posture - at.q?).amax()))
+    }
+
     /// The target of the next `steps` steps (less than one in a cycle); `None` for the goal.
-    pub fn advance(&mut self, points: &[[f64; 2]], reached_px: f64, steps: f64) -> Option<Points> {
+    pub(crate) fn advance(&mut self, at: &At, reached_px: f64, steps: f64) -> Option<Points> {
+        let (length, blocked) = match self.kind {
+            Kind::Joints => (PLACE_LENGTH, PLACE_BLOCKED),
+            _ => (LENGTH, BLOCKED),
+        };
         loop {
             let ahead = self.ahead.checked_sub(1)?;
-            let target = self.targets.get(ahead as usize)?.get()?;
-            let away_px = features::largest_error(points, &target);
+            let passed_px = match (self.kind, ahead) {
+                (Kind::Joints, 0) => LAST_PX,
+                (Kind::Joints, _) => PASSED_PX,
+                _ => reached_px,
+            };
+            let (target, away_px) = self.target(at)?;
             if away_px < self.least_px - PROGRESS_PX {
                 (self.least_px, self.idle) = (away_px, 0.0);
             } else {
                 self.idle += steps;
             }
-            let is_blocked = self.idle > BLOCKED + ROUNDING;
-            if away_px >= reached_px && !is_blocked && self.left > ROUNDING {
+            let is_blocked = self.idle > blocked + ROUNDING;
+            if away_px >= passed_px && !is_blocked && self.left > ROUNDING {
                 self.left -= steps;
                 return Some(target);
             }
-            (self.ahead, self.left) = (ahead, LENGTH);
+            (self.ahead, self.left) = (ahead, length);
             (self.least_px, self.idle) = (f64::INFINITY, 0.0);
             if ahead == 0 {
                 *self = self.direct();

@@ -12,6 +12,8 @@ use crate::drift::{Drift, Elapsed, Evidence};
 use crate::features::{self, PlainPoints};
 use crate::follow::Follow;
 use crate::foresight::{FAR, Foresight, Thinker};
+use crate::guide::At;
+use crate::joint_path::{self, Planner};
 use crate::measurement::{Measurement, Refusal};
 use crate::motion::Own;
 use crate::patience::Patience;
@@ -63,6 +65,9 @@ const FEWEST_ITERATIONS: u32 = 3;
 const FEWEST_STEPS: u32 = 10;
 /// A future is at most this share of the scene's time long.
 const HORIZON: f64 = 0.5;
+
+/// Cycles without a way after which a path in the arm's joints is searched for.
+const LOST: u32 = 15;
 
 /// Older positions of an arm's joints say nothing of now, ns.
 const OLDEST_JOINTS_NS: u64 = 500_000_000;
@@ -132,7 +137,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     ) -> Result<Self, SettingsError> {
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         let share = Share::of(&task, &settings)?;
-        let needed = share.size.workspace();
+        let planner = task.arm.as_ref().map_or(0, |_| joint_path::ROOM);
+        let needed = share.size.workspace().max(planner);
         let workspace = lend(needed);
         let found = workspace.as_ref().len();
         if found < needed {
@@ -202,6 +208,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             return;
         };
         let extra_px = self.back_off_px(&root);
+        if self.seeks_path(&next) {
+            return self.seek_path(&next, extra_px);
+        }
         let most_s = |_: &Crossing| {
             let drift = &self.state.drift;
             crossing::most_s(&self.task, &self.settings, &root, drift)
@@ -219,6 +228,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             },
             solver,
             memory,
+            path: &self.state.path,
             crossing: self.crossing.as_ref(),
             most_blind_s,
             blind_s,
@@ -235,6 +245,36 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             simulated: 0,
         };
         thinker.think(&mut self.state.foresight);
+    }
+
+    /// Whether this cycle's spare time goes to the search for a path in the arm's joints: every
+    /// second cycle where no way has been known for some.
+    fn seeks_path(&self, next: &InitialState) -> bool {
+        let foresight = &self.state.foresight;
+        self.task.arm.is_some()
+            && next.drift.is_none()
+            && foresight.lost >= LOST
+            && !foresight.needs_path()
+            && !foresight.knows_a_way()
+    }
+
+    /// Searches for a path in the arm's joints.
+    fn seek_path(&mut self, next: &InitialState, extra_px: f64) {
+        let margin_px = self.settings.margin_px + extra_px;
+        let (number, work) = (self.state.searches, self.share.thinking);
+        self.state.searches = number.wrapping_add(1);
+        let planner = Planner::new(&self.task, next, margin_px, number.into(), work);
+        let Some(mut planner) = planner else { return };
+        let found = planner.search(self.workspace.as_mut());
+        let foresight = &mut self.state.foresight;
+        foresight.pass(&self.task, self.spent);
+        foresight.work = work - planner.left();
+        // Foresight has the next cycle.
+        foresight.lost -= 1;
+        if let Some(path) = found {
+            self.state.path = path;
+            foresight.has_new_path = true;
+        }
     }
 
     /// The incumbent of foresight, and its expected outcome.
@@ -422,7 +462,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             Strategy::Ibvs => self.task.reach,
             _ => self.task.period,
         };
-        let dampers = self.task.dampers(initial.q.as_ref(), seconds);
+        let towards = self.state.foresight.guide.posture(&self.state.path);
+        let dampers = self.task.dampers(initial.q.as_ref(), seconds, towards);
         let dampers = dampers.as_ref();
         let is_foresight = self.settings.strategy == Strategy::Foresight;
         let stands = is_foresight && self.loses_patience(dampers, step.error_px, is_linked);
@@ -436,8 +477,14 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             }
             Strategy::Foresight => {
                 let guide = &mut self.state.foresight.guide;
-                let tracked =
-                    guide.advance(points, self.converged_px, self.task.period / self.task.ts);
+                let at = At {
+                    task: &self.task,
+                    points,
+                    q: initial.q.as_ref(),
+                    path: &self.state.path,
+                };
+                let steps = self.task.period / self.task.ts;
+                let tracked = guide.advance(&at, self.converged_px, steps);
                 if tracked.is_some() && guide.kind.is_remembered() {
                     step.asked = Asked::Followed;
                 }
@@ -459,7 +506,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         step.cause = arm::cause(dampers, &step.twist, &self.task.limits);
         // An arm that stands moves no elbow, either.
         let turning = dampers.filter(|_| !step.stands);
-        step.elbow = turning.map_or(0.0, |dampers| dampers.elbow);
+        step.elbow = turning.map_or(0.0, |dampers| dampers.elbow(&step.twist));
         self.predict(&initial, &step.twist);
         let policy = Policy {
             task: &self.task,

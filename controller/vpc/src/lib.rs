@@ -74,6 +74,7 @@ pub mod guide;
 mod ibvs;
 mod interaction;
 pub(crate) mod intersample;
+pub mod joint_path;
 pub mod law;
 pub mod limit;
 pub mod measurement;
@@ -86,6 +87,7 @@ pub mod problem;
 #[doc(hidden)]
 #[expect(clippy::len_without_is_empty, reason = "public for vpc-bench alone")]
 pub mod qp;
+mod random;
 pub mod recall;
 pub mod settings;
 mod size;

@@ -142,6 +142,12 @@ impl InitialState {
         self.with_drift(Own::NONE)
     }
 
+    /// The pose of the pattern in the camera frame, where the model knows one.
+    pub(crate) fn pose(&self, task: &Task) -> Option<Estimate> {
+        let tilt = self.tilt.as_ref()?;
+        Some(pose_of(task, &self.points, Some(tilt))?.0)
+    }
+
     /// The twist of a camera at `twist` against the pattern.
     pub(crate) fn relative(&self, twist: &Twist) -> Twist {
         core::array::from_fn(|k| twist[k] - self.drift.twist[k])

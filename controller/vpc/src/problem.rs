@@ -38,11 +38,43 @@ pub struct Problem<'a> {
     pub interval: f64,
     /// Extra clearance kept from every border by each point with its marker, px.
     pub margin: f64,
-    /// What the arm allows, where it is known.
+    /// What the arm allows, where it is known, and what a posture that it goes to wants.
     pub dampers: Option<&'a Dampers>,
 }
 
+/// What a plan costs.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Weights<'a> {
+    /// k_Q.
+    pub k_q: f64,
+    /// r.
+    pub r_share: f64,
+    /// q.
+    pub change_share: f64,
+    /// d.
+    pub wanted: &'a Twist,
+}
+
 impl Problem<'_> {
+    /// The weights of the cost: towards a posture the nearest twist to the wanted one counts, and
+    /// no image.
+    pub(crate) fn weights(&self) -> Weights<'_> {
+        match self.dampers.and_then(|dampers| dampers.wanted.as_ref()) {
+            Some(wanted) => Weights {
+                k_q: 0.0,
+                r_share: 1.0,
+                change_share: 0.0,
+                wanted,
+            },
+            None => Weights {
+                k_q: self.task.cost.k_q,
+                r_share: self.r_share,
+                change_share: self.change_share,
+                wanted: &self.initial.drift.twist,
+            },
+        }
+    }
+
     /// Least and greatest value of the k-th variable of a plan: inside the velocity limits, and no
     /// further from the command in force than the acceleration limits allow until then. Where the
     /// arm has room for a share of the accelerations only, the velocities take the same share, so

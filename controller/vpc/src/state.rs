@@ -9,6 +9,7 @@ use crate::drift::Drift;
 use crate::features::PlainPoints;
 use crate::follow::Follow;
 use crate::foresight::Foresight;
+use crate::joint_path::JointPath;
 use crate::patience::Patience;
 use crate::pose::Tilt;
 use crate::prediction::Plan;
@@ -26,6 +27,10 @@ pub struct State {
     pub near: bool,
     /// The incumbent, and the state of foresight.
     pub foresight: Foresight,
+    /// The path in the arm's joints that was found last.
+    pub path: JointPath,
+    /// Searches for one so far.
+    pub searches: u32,
     /// How long nothing has improved.
     pub patience: Patience,
     /// The last plan, vx vy vz wx wy wz of each free command, m/s and rad/s, camera frame; the rest
@@ -70,6 +75,8 @@ impl State {
             strategy,
             near: false,
             foresight: Foresight::NONE,
+            path: JointPath::NONE,
+            searches: 0,
             patience: Patience::NEW,
             previous: [0.0; MAX_VARIABLES],
             predicted: PlainPoints::NONE,

@@ -2,6 +2,7 @@
 
 use core::f64::consts::FRAC_1_SQRT_2;
 
+use ::arm::damper::Towards;
 use ::arm::{Arm, Dampers, Joints};
 use nalgebra::Vector3;
 use scene::{Area, Camera, Cost, MAX_AREAS, Part, Pose, Scene};
@@ -22,6 +23,8 @@ pub struct Task {
     pub pattern: heapless::Vec<[f64; 3], MAX_POINTS>,
     /// s*: the features at the goal, px.
     pub goal: Points,
+    /// The pattern in the camera frame at the goal.
+    pub goal_pose: Pose,
     /// Depth of each point at the goal, m.
     pub goal_depth: heapless::Vec<f64, MAX_POINTS>,
     /// Area of the pattern at the goal, px^2.
@@ -109,6 +112,7 @@ impl Task {
             goal_area: features::area(&goal),
             goal_angle: features::angle(&goal),
             goal,
+            goal_pose: scene.goal,
             goal_depth,
             limits: scene.limits.velocity(),
             acceleration: scene.limits.acceleration(),
@@ -194,14 +198,26 @@ impl Task {
         each.map(|(v, most)| v.abs() / most).fold(0.0, f64::max)
     }
 
-    /// What the arm allows with its joints at `q` of a command in force for `seconds`; `None` where
-    /// either is not known.
-    pub(crate) fn dampers(&self, q: Option<&Joints>, seconds: f64) -> Option<Dampers> {
-        Some(Dampers::at(
-            self.arm.as_ref()?,
+    /// What the arm allows with its joints at `q` of a command in force for `seconds`, on the way
+    /// to a posture, if there is one; `None` where arm or joints are not known.
+    pub(crate) fn dampers(
+        &self,
+        q: Option<&Joints>,
+        seconds: f64,
+        posture: Option<Joints>,
+    ) -> Option<Dampers> {
+        let arm = self.arm.as_ref()?;
+        let towards = posture.map(|q| Towards {
+            q,
+            limits: self.limits,
+        });
+        let towards = towards.as_ref();
+        Some(Dampers::towards(
+            arm,
             q?,
             &self.acceleration,
             seconds,
+            towards,
         ))
     }
 

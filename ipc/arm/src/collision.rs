@@ -418,7 +418,12 @@ mod tests {
                         }] += 1;
                     }
                 }
-                q = arm.moved(&q, &wanted.map(|v| share * v), dampers.elbow, period);
+                q = arm.moved(
+                    &q,
+                    &wanted.map(|v| share * v),
+                    dampers.elbow(&wanted),
+                    period,
+                );
                 nearest = nearest.min(least(&arm, &q));
             }
         }

@@ -44,6 +44,9 @@ const RATE: f64 = 2.0;
 /// Share of what a bound leaves that the elbow may take of the camera.
 const ELBOWS: f64 = 0.5;
 
+/// Square of a camera's velocity, as a share of its limits, below which the elbow turns alone.
+const SLOW: f64 = 0.01;
+
 /// Most bounds of an arm.
 pub const MAX_BOUNDS: usize = WITHOUT_SHAPES + MAX_ROWS;
 /// Most bounds of an arm whose links have no shapes.
@@ -84,6 +87,46 @@ impl Bound {
     }
 }
 
+/// A posture that an arm goes to.
+#[derive(Clone, Copy, Debug)]
+pub struct Towards {
+    /// The joints there, rad or m.
+    pub q: Joints,
+    /// The greatest velocity of the camera, m/s and rad/s.
+    pub limits: [f64; 6],
+}
+
+impl Towards {
+    /// The velocity of the elbow that goes with the camera's `twist`: what of it is the elbow's
+    /// alone, and what each component of a camera's velocity adds, so that both keep step.
+    fn coupled(&self, twist: &[f64; 6], elbow: f64) -> (f64, [f64; 6]) {
+        let weights = self.limits.map(|most| 1.0 / (most * most));
+        let pairs = twist.iter().zip(weights);
+        let square = pairs.map(|(v, weight)| v * v * weight).sum::<f64>() + SLOW;
+        let coupling = core::array::from_fn(|k| elbow * twist[k] * weights[k] / square);
+        (elbow * SLOW / square, coupling)
+    }
+
+    /// The velocities of the joints straight from `q` to there, as fast as the camera's limits, the
+    /// joints' and the elbow's allow, and not past it in so many seconds.
+    fn straight(&self, arm: &Arm, q: &Joints, seconds: f64) -> Joints {
+        let way = self.q - q;
+        let (camera, jacobian) = arm.chain.at(q);
+        let twist = along_camera(&camera).transpose() * (jacobian * way);
+        let camera_s = twist
+            .iter()
+            .zip(&self.limits)
+            .map(|(v, most)| v.abs() / most);
+        let joints = way.iter().zip(&arm.limits.0);
+        let joints_s = joints.map(|(way, joint)| way.abs() / (arm.speed * joint.velocity));
+        let all = camera_s
+            .chain(joints_s)
+            .fold(seconds.max(LEAST_S), f64::max);
+        let free = ik::elbow(&inverse(&jacobian), &jacobian);
+        way / all.max(elbow::along(&free, &way).abs() / elbow::FASTEST)
+    }
+}
+
 /// The bounds of a posture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Dampers {
@@ -91,8 +134,12 @@ pub struct Dampers {
     map: SMatrix<f64, JOINTS, 6>,
     /// s: the velocities of the joints as the elbow turns at 1 rad/s.
     free: Joints,
-    /// w: the velocity of the elbow, rad/s.
-    pub elbow: f64,
+    /// The velocity of the elbow while the camera stands, rad/s.
+    elbow: f64,
+    /// What a camera's velocity adds to it, rad/s for each m/s or rad/s.
+    coupling: [f64; 6],
+    /// The camera's velocity on the straight way to a posture, along camera axes.
+    pub wanted: Option<[f64; 6]>,
     /// Share of the camera's accelerations that the joints have room for, 0.01 to 1: as bridges
     /// shorten their ramps near a singular posture.
     pub ramps: f64,
@@ -105,6 +152,18 @@ impl Dampers {
     /// most `accelerations`, m/s^2 and rad/s^2. Where these are not finite, singular postures have
     /// none.
     pub fn at(arm: &Arm, q: &Joints, accelerations: &[f64; 6], seconds: f64) -> Self {
+        Self::towards(arm, q, accelerations, seconds, None)
+    }
+
+    /// The same on the way to a posture, where there is one: the camera's velocity that leads
+    /// there, and an elbow that keeps step with it. A bound counts what both do together.
+    pub fn towards(
+        arm: &Arm,
+        q: &Joints,
+        accelerations: &[f64; 6],
+        seconds: f64,
+        towards: Option<&Towards>,
+    ) -> Self {
         let least_s = seconds.max(LEAST_S);
         let damped = |left: f64| damped(left, least_s);
         let (camera, jacobian) = arm.chain.at(q);
@@ -175,23 +234,39 @@ impl Dampers {
                 Cause::Near(row.pair),
             );
         }
-        let mut elbow = 0.0;
-        if arm.is_elbow_free {
-            let wanted = elbow::rate(&arm.limits, arm.margin, q, &free, strained, &steepest);
-            let taken = turns.iter().map(|turn| turn * wanted);
-            let share = |(bound, taken): (&Bound, f64)| match taken > ELBOWS * bound.most {
-                true => ELBOWS * bound.most / taken,
-                false => 1.0,
-            };
-            elbow = wanted * bounds.iter().zip(taken).map(share).fold(1.0, f64::min);
-            for (bound, turn) in bounds.iter_mut().zip(&turns) {
-                bound.most -= (turn * elbow).max(0.0);
+        let (mut wanted, mut coupling) = (None, [0.0; 6]);
+        let mut turning = 0.0;
+        match towards {
+            Some(to) => {
+                let dq = to.straight(arm, q, seconds);
+                let twist: [f64; 6] = (along.transpose() * (jacobian * dq)).into();
+                if arm.is_elbow_free {
+                    (turning, coupling) = to.coupled(&twist, elbow::along(&free, &dq));
+                }
+                wanted = Some(twist);
             }
+            None if arm.is_elbow_free => {
+                turning = elbow::rate(&arm.limits, arm.margin, q, &free, strained, &steepest);
+            }
+            None => (),
+        }
+        let taken = turns.iter().map(|turn| turn * turning);
+        let share = |(bound, taken): (&Bound, f64)| match taken > ELBOWS * bound.most {
+            true => ELBOWS * bound.most / taken,
+            false => 1.0,
+        };
+        let elbow = turning * bounds.iter().zip(taken).map(share).fold(1.0, f64::min);
+        for (bound, turn) in bounds.iter_mut().zip(&turns) {
+            bound.most -= (turn * elbow).max(0.0);
+            let coupled = bound.gradient.iter_mut().zip(&coupling);
+            coupled.for_each(|(g, with)| *g += turn * with);
         }
         Self {
             map,
             free,
             elbow,
+            coupling,
+            wanted,
             ramps,
             bounds,
         }
@@ -210,9 +285,15 @@ impl Dampers {
         self.bounds.iter().map(share).fold(1.0, f64::min)
     }
 
+    /// w: the velocity of the elbow while the camera moves at `twist` along its axes, rad/s.
+    pub fn elbow(&self, twist: &[f64; 6]) -> f64 {
+        let coupled = self.coupling.iter().zip(twist).map(|(k, v)| k * v);
+        (self.elbow + coupled.sum::<f64>()).clamp(-elbow::FASTEST, elbow::FASTEST)
+    }
+
     /// The velocities of the joints while the camera moves at `twist` along its axes.
     pub fn joints(&self, twist: &[f64; 6]) -> Joints {
-        self.map * Twist::from(*twist) + self.free * self.elbow
+        self.map * Twist::from(*twist) + self.free * self.elbow(twist)
     }
 }
 
@@ -244,6 +325,12 @@ fn along_camera(camera: &Pose) -> Matrix6<f64> {
         block.copy_from(camera.rotation.matrix());
     }
     along
+}
+
+/// Nearness to a singular posture: the largest share of a joint's acceleration that these of the
+/// end effector take at `q`, all at once.
+pub(crate) fn strain(arm: &Arm, q: &Joints, accelerations: &[f64; 6]) -> f64 {
+    Strain::at(arm, q, accelerations).shares.max()
 }
 
 /// What the end effector's accelerations along base axes, all at once, ask of the joints'.
@@ -375,8 +462,8 @@ mod tests {
             let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, 0.0);
             let dq = dampers.joints(&twist);
             let h = 1e-6;
-            let moved = (arm.moved(&q, &twist, dampers.elbow, h)
-                - arm.moved(&q, &twist, dampers.elbow, -h))
+            let moved = (arm.moved(&q, &twist, dampers.elbow(&twist), h)
+                - arm.moved(&q, &twist, dampers.elbow(&twist), -h))
                 / (2.0 * h);
             assert!((moved - dq).norm() < 1e-8);
             let height = |q: &Joints| {
@@ -428,7 +515,12 @@ mod tests {
             for _ in 0..300 {
                 let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, period);
                 let share = dampers.share(&wanted);
-                q = arm.moved(&q, &wanted.map(|v| share * v), dampers.elbow, period);
+                q = arm.moved(
+                    &q,
+                    &wanted.map(|v| share * v),
+                    dampers.elbow(&wanted),
+                    period,
+                );
                 for (k, joint) in arm.limits.0.iter().enumerate() {
                     let [below, above] = joint.room(q[k]);
                     nearest = nearest.min(below).min(above);
@@ -464,8 +556,8 @@ mod tests {
             let (before, strain) = (crowded(&q), strained(&q));
             for _ in 0..900 {
                 let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, 1.0 / 30.0);
-                assert!(dampers.elbow.abs() <= elbow::FASTEST);
-                q = arm.moved(&q, &[0.0; 6], dampers.elbow, 1.0 / 30.0);
+                assert!(dampers.elbow(&[0.0; 6]).abs() <= elbow::FASTEST);
+                q = arm.moved(&q, &[0.0; 6], dampers.elbow(&[0.0; 6]), 1.0 / 30.0);
             }
             let apart = camera.translation.vector - arm.chain.pose(&q).translation.vector;
             assert!(apart.norm() < 1e-4, "{apart}");
@@ -477,7 +569,7 @@ mod tests {
         // A held one stands.
         arm.is_elbow_free = false;
         let dampers = Dampers::at(&arm, &Joints::from(READY), &ACCELERATIONS, 1.0 / 30.0);
-        assert_eq!(dampers.elbow, 0.0);
+        assert_eq!(dampers.elbow(&[0.0; 6]), 0.0);
         assert_eq!(dampers.joints(&[0.0; 6]), Joints::zeros());
     }
 

@@ -32,6 +32,15 @@ const STRAINED: f64 = 0.4;
 /// Velocity that a unit of strain above this asks for per unit of its gradient, rad/s.
 const EASE: f64 = 0.5;
 
+/// The velocity of the elbow in these of the joints, rad/s.
+pub(crate) fn along(free: &Joints, dq: &Joints) -> f64 {
+    let square = free.norm_squared();
+    match square > 1e-18 {
+        true => dq.dot(free) / square,
+        false => 0.0,
+    }
+}
+
 /// The velocity of the elbow, rad/s; zero where these are not finite. `free` is s; `gradient` is
 /// that of the strain by each joint, 1/rad.
 pub(crate) fn rate(

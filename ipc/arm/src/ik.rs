@@ -7,9 +7,9 @@
 //! control of the configuration and behavior of multibody mechanisms", IEEE SMC 7(12), 1977 (null
 //! space).
 
-use nalgebra::{Cholesky, Matrix6, SMatrix};
+use nalgebra::{Cholesky, Matrix6, SMatrix, UnitQuaternion};
 
-use crate::kinematics::{Chain, JOINTS, Jacobian, Joints, Twist};
+use crate::kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, Twist};
 use crate::limits::{Limits, PERIOD, Setpoint};
 use crate::ramp::Ramp;
 
@@ -20,7 +20,7 @@ const DAMPING: f64 = 0.05;
 /// What keeps J J^T from being singular, its unit.
 const ROUNDING: f64 = 1e-8;
 /// The index of joint 3.
-const ELBOW: usize = 2;
+pub const ELBOW: usize = 2;
 /// Rate at which joint 3 returns to its reference, 1/s.
 const ELBOW_RATE: f64 = 2.0;
 /// The most that the reference of a joint 3 that is to turn is ahead of it, rad.
@@ -38,6 +38,11 @@ const ELBOW_RAMP: Ramp = Ramp {
     acceleration: 1.0,
     jerk: 100.0,
 };
+
+/// Longest step of a search for a posture, rad or m.
+const LONGEST: f64 = 0.3;
+/// A posture is found where it misses the pose by less, m and rad together.
+const FOUND: f64 = 1e-9;
 
 /// From the velocity of the end effector (base axes) to the least velocities of the joints.
 pub type Inverse = SMatrix<f64, JOINTS, 6>;
@@ -87,6 +92,34 @@ pub fn elbow(inverse: &Inverse, jacobian: &Jacobian) -> Joints {
 /// The inverse with the elbow held, which would move so.
 pub fn held(inverse: &Inverse, elbow: &Joints) -> Inverse {
     inverse - elbow * inverse.row(ELBOW)
+}
+
+/// A posture that brings the end of a chain to a pose, by at most so many Newton steps from `q`,
+/// and how many it took; with the elbow held, joint 3 stays. `None` if the steps find none.
+pub fn posture(
+    chain: &Chain,
+    mut q: Joints,
+    wanted: &Pose,
+    is_elbow_held: bool,
+    steps: usize,
+) -> (Option<Joints>, usize) {
+    for taken in 0..steps {
+        let (at, mut jacobian) = chain.at(&q);
+        let apart = wanted.translation.vector - at.translation.vector;
+        // The angle of a rotation matrix is NaN where rounding takes its trace past 3.
+        let turn = wanted.rotation * at.rotation.inverse();
+        let turn = UnitQuaternion::from_rotation_matrix(&turn).scaled_axis();
+        let error = Twist::new(apart.x, apart.y, apart.z, turn.x, turn.y, turn.z);
+        if error.norm() < FOUND {
+            return (Some(q), taken);
+        }
+        if is_elbow_held {
+            jacobian.column_mut(ELBOW).fill(0.0);
+        }
+        let step = inverse(&jacobian) * error;
+        q += step * (LONGEST / step.amax()).min(1.0);
+    }
+    (None, steps)
 }
 
 /// The velocity inverse kinematics during one motion.

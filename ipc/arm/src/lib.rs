@@ -18,6 +18,7 @@ pub mod ramp;
 pub mod reserve;
 pub mod shaper;
 pub mod singularity;
+pub mod slack;
 
 pub use bridge::{Bridge, Caps, Driver, Limited, Measured, Room};
 pub use capsule::{Capsule, Cuboid};
@@ -29,3 +30,4 @@ pub use mount::Mount;
 pub use ramp::Ramp;
 pub use reserve::Reserve;
 pub use shaper::{Echo, Shaper, ShaperError, ShaperSettings};
+pub use slack::Slack;

@@ -320,6 +320,8 @@ codes! {
         Neighbour = 4 => "k-NN way point",
         /// The way point that the Gaussian process infers, then the goal.
         Regression = 5 => "GPR way point",
+        /// A path in the arm's joints, to the goal.
+        Joints = 6 => "joint path",
     }
 }
 

@@ -200,6 +200,8 @@ enum vpc_foresight_code {
     VPC_FORESIGHT_CODE_NEIGHBOUR = 4,
     // The way point that the Gaussian process infers, then the goal.
     VPC_FORESIGHT_CODE_REGRESSION = 5,
+    // A path in the arm's joints, to the goal.
+    VPC_FORESIGHT_CODE_JOINTS = 6,
 };
 
 // Whether the grid of releases follows the camera's frames.

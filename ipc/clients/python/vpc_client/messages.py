@@ -188,6 +188,8 @@ class ForesightCode(Code):
     NEIGHBOUR = 4, "k-NN way point"
     # The way point that the Gaussian process infers, then the goal.
     REGRESSION = 5, "GPR way point"
+    # A path in the arm's joints, to the goal.
+    JOINTS = 6, "joint path"
 
 
 class PhaseCode(Code):
