@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, Parser, ValueEnum};
 use fci::Version;
+use markers::Family;
 use panda::Model;
 use scene::{Pose, Scene, read_starts};
 use schemars::JsonSchema;
@@ -123,6 +124,10 @@ pub struct Keys {
     /// Robot: what the camera sends.
     #[arg(long, value_enum, default_value_t)]
     pub camera: Sight,
+    /// Rendered: family of the tags, by OpenCV's name.
+    #[arg(long, default_value_t)]
+    #[schemars(extend("x-allowed" = "as vpc-camera's"))]
+    pub family: Family,
     /// Robot: time from the middle of an exposure to its delivery.
     #[arg(long, default_value_t = 110.0)]
     #[schemars(range(min = 0, max = 900), extend("x-unit" = "ms"))]
@@ -375,6 +380,7 @@ impl Config {
             rig.arm.is_shaped = false;
         }
         let eye = &mut rig.eye;
+        eye.family = keys.family;
         (eye.sight, eye.noise_px, eye.seed) = (keys.camera, flaws.noise_px, flaws.seed);
         (eye.exposure_ns, eye.readout_ns) = (ns(keys.exposure_ms), ns(keys.readout_ms));
         (eye.latency.latency_ns, eye.latency.jitter_ns) = (ns(keys.latency_ms), ns(keys.jitter_ms));

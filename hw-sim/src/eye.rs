@@ -1,6 +1,7 @@
 //! The camera in the robot's hand: frames come late, with jitter, and some never.
 
 use clap::ValueEnum;
+use markers::Family;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
@@ -37,6 +38,8 @@ pub struct EyeSettings {
     pub sight: Sight,
     /// From the middle of the exposure to the delivery.
     pub latency: Latency,
+    /// Family of the rendered tags.
+    pub family: Family,
     /// Standard deviation of each coordinate of ideal features, px.
     pub noise_px: f64,
     /// Seed of that noise, and of the picture's.
@@ -52,6 +55,7 @@ impl Default for EyeSettings {
         Self {
             sight: Sight::Ideal,
             latency: Latency::default(),
+            family: Family::default(),
             noise_px: 0.0,
             seed: 1,
             exposure_ns: 6_000_000,
@@ -118,7 +122,7 @@ impl Eye {
         is_live: bool,
     ) -> Result<Self, EyeError> {
         let is_rendered = settings.sight == Sight::Rendered;
-        let renderer = || FrameRenderer::new(real, truth, settings.seed);
+        let renderer = || FrameRenderer::new(real, truth, settings.family, settings.seed);
         let latency = Latency {
             burst: truth.drop_burst,
             ..settings.latency

@@ -3,6 +3,7 @@
 use std::sync::mpsc::{self, TryRecvError};
 use std::thread;
 
+use markers::Family;
 use scene::{Pose, Scene};
 use vision::{Image, Look, Renderer};
 
@@ -42,11 +43,12 @@ pub(crate) struct FrameRenderer {
 
 impl FrameRenderer {
     /// Draws the scene as it is, with a tag at each point of its pattern.
-    pub fn new(real: &Scene, truth: &Truth, seed: u64) -> Result<Self, EyeError> {
+    pub fn new(real: &Scene, truth: &Truth, family: Family, seed: u64) -> Result<Self, EyeError> {
         if real.marker_size <= 0.0 {
             return Err(EyeError::NoSize);
         }
         let look = Look {
+            family,
             distortion: truth.distortion,
             defocus_px: truth.defocus_px,
             gain: truth.gain,

@@ -1,8 +1,12 @@
 //! How the picture looks: gray levels, noise.
 
+use markers::Family;
+
 /// How the picture looks. Levels are 0 (black) to 255 (white), before shading and noise.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
+    /// Family of the tags.
+    pub family: Family,
     /// Level of what is white of a tag.
     pub white_level: f64,
     /// Level of what is black of a tag.
@@ -51,6 +55,7 @@ pub struct SpotLook {
 impl Default for Look {
     fn default() -> Self {
         Self {
+            family: Family::default(),
             white_level: 215.0,
             black_level: 22.0,
             box_level: 98.0,

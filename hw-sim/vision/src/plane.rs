@@ -17,6 +17,8 @@ const EDGE: f64 = 1.0;
 
 /// How far from the box tags may lie about on the table, sides of a black square.
 const ABOUT: f64 = 8.0;
+/// Clutter has numbers below, the highest first.
+const CLUTTER_NUMBERS: usize = 36;
 /// Distinguishes the random numbers of the clutter from those of the texture.
 const CLUTTER: u64 = 0x7a65;
 
@@ -127,7 +129,8 @@ fn clutter(tags: &[Tag], look: &Look, outline: [Point; 2]) -> Vec<Tag> {
     };
     let mut random = ChaCha8Rng::seed_from_u64(look.seed ^ CLUTTER);
     let is_used = |number: &usize| tags.iter().any(|tag| tag.number == *number);
-    let numbers = (0..Tag::COUNT).rev().filter(|number| !is_used(number));
+    let count = CLUTTER_NUMBERS.min(look.family.count() as usize);
+    let numbers = (0..count).rev().filter(|number| !is_used(number));
     let mut numbers = numbers
         .take(look.clutter.saturating_sub(1))
         .collect::<Vec<_>>();

@@ -51,7 +51,7 @@ impl Renderer {
     /// dims what lies behind; every other one is an object before the camera, which hides it.
     pub fn new(scene: &Scene, look: &Look) -> Self {
         let tags = match scene.marker_size > 0.0 {
-            true => Tag::of_pattern(scene, Tag::BLACK_SHARE * scene.marker_size),
+            true => Tag::of_pattern(scene, look.family.black_share() * scene.marker_size),
             false => Vec::new(),
         };
         Self::with_tags(scene, look, &tags)
@@ -157,6 +157,8 @@ impl Renderer {
 
 #[cfg(test)]
 mod tests {
+    use markers::Family;
+
     use super::*;
 
     fn robot() -> Scene {
@@ -335,7 +337,7 @@ mod tests {
                 sums = [sums[0] + dark * at[0], sums[1] + dark * at[1]];
             }
             let (mut count, mut cells) = (0.0, [0.0; 2]);
-            for (row, bits) in tag.rows().iter().enumerate() {
+            for (row, bits) in tag.rows(Family::default()).iter().enumerate() {
                 for column in (0..10).filter(|column| bits >> column & 1 == 0) {
                     count += 1.0;
                     cells = [
@@ -344,7 +346,7 @@ mod tests {
                     ];
                 }
             }
-            let module = tag.module() * 615.0 / depth;
+            let module = tag.module(Family::default()) * 615.0 / depth;
             let black = 215.0 - look.black_level;
             let area = sum / (black * count * module * module);
             assert!((area - 1.0).abs() < 2e-3, "{area}");
@@ -365,14 +367,14 @@ mod tests {
         /// Pieces along a side of a module.
         const PIECES: usize = 6;
         let map = Homography::of_pose(&scene.camera, pose);
-        let step = tag.module() / PIECES as f64;
-        let [left, top] = tag.rim()[0];
+        let step = tag.module(Family::default()) / PIECES as f64;
+        let [left, top] = tag.rim(Family::default())[0];
         let seen = |a: usize, b: usize| {
             let at = [left + a as f64 * step, top + b as f64 * step];
             lens.distort(map.apply(at).unwrap())
         };
         let (mut area, mut sums) = (0.0, [0.0; 2]);
-        for (row, bits) in tag.rows().iter().enumerate() {
+        for (row, bits) in tag.rows(Family::default()).iter().enumerate() {
             for column in (0..10).filter(|column| bits >> column & 1 == 0) {
                 for piece in 0..PIECES * PIECES {
                     let (a, b) = (
@@ -427,7 +429,7 @@ mod tests {
                 let pixel = [(k % 640) as f64, (k / 640) as f64];
                 // Within the white border.
                 let at = back.apply(lens.undistort(pixel).unwrap()).unwrap();
-                if at[0].abs().max(at[1].abs()) > 4.6 * tag.module() {
+                if at[0].abs().max(at[1].abs()) > 4.6 * tag.module(Family::default()) {
                     continue;
                 }
                 let dark = 215.0 - f64::from(*level);

@@ -1,9 +1,11 @@
 //! A tag on the plane, ready to be drawn.
 
+use markers::Family;
+
 use crate::homography::{Homography, Point};
 use crate::lens::{Lens, Rays};
 use crate::look::Look;
-use crate::tag::{SIDE, Tag};
+use crate::tag::Tag;
 
 /// Samples of a pixel that the edge of a module crosses: their offsets along u, along v and in time
 /// are those of a lattice (Fibonacci's along u and v), evenly spread along each and every slant.
@@ -17,7 +19,8 @@ const PLACES: usize = 8;
 #[derive(Clone, Debug)]
 pub(crate) struct Sheet {
     tag: Tag,
-    modules: [u16; SIDE],
+    family: Family,
+    modules: Vec<u16>,
     /// Levels of black and of white modules.
     levels: [f32; 2],
     /// First column and row of the image that it may touch, and those after the last.
@@ -30,7 +33,8 @@ impl Sheet {
         let light = 1.0 - 0.5 * tag.center[0].clamp(-0.3, 0.3);
         Self {
             tag: *tag,
-            modules: tag.rows(),
+            family: look.family,
+            modules: tag.rows(look.family),
             levels: [look.black_level, look.white_level].map(|level| (light * level) as f32),
             window: [[0; 2]; 2],
         }
@@ -40,7 +44,7 @@ impl Sheet {
     /// `image` is the box of what the image shows, px of the pinhole.
     pub fn aim(&mut self, maps: &[Homography], lens: &Lens, image: [Point; 2], size: [usize; 2]) {
         let (mut least, mut most) = ([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]);
-        let rim = self.tag.rim();
+        let rim = self.tag.rim(self.family);
         let places = (0..4 * PLACES).map(|k| {
             let (from, to) = (rim[k / PLACES], rim[(k / PLACES + 1) % 4]);
             let share = (k % PLACES) as f64 / PLACES as f64;
@@ -71,7 +75,7 @@ impl Sheet {
 
     /// The level at a point in modules from the corner of the white border; `None` beside the tag.
     fn level(&self, at: [f64; 2]) -> Option<f32> {
-        let inside = |x: f64| (0.0..SIDE as f64).contains(&x);
+        let inside = |x: f64| (0.0..self.modules.len() as f64).contains(&x);
         // The casts cut, which is the floor of what is not negative, without a call.
         (inside(at[0]) && inside(at[1])).then(|| {
             let bits = self.modules[at[1] as usize];
@@ -87,10 +91,11 @@ impl Sheet {
         if !(top..bottom).contains(&row) || left >= right {
             return;
         }
-        let (center, scale) = (self.tag.center, 1.0 / self.tag.module());
+        let (center, scale) = (self.tag.center, 1.0 / self.tag.module(self.family));
+        let middle = 0.5 * self.modules.len() as f64;
         let modules = |back: &Homography, pixel: Point| {
             let point = back.apply(pixel)?;
-            Some([0, 1].map(|k| (point[k] - center[k]) * scale + 0.5 * SIDE as f64))
+            Some([0, 1].map(|k| (point[k] - center[k]) * scale + middle))
         };
         let [first, last] = backs;
         for (u, pixel) in (left..right).zip(&mut line[left..right]) {

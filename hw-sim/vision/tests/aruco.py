@@ -1,11 +1,11 @@
-"""Finds AprilTags in images by OpenCV: for each file a line "number u v u v u v u v ..." of corners, px."""
+"""Finds tags in images by OpenCV, DICTIONARY FILE...: for each file a line "number u v u v u v u v ..." of corners, px."""
 
 import sys
 
 import cv2
 
-detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11))
-for path in sys.argv[1:]:
+detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, sys.argv[1])))
+for path in sys.argv[2:]:
     image = cv2.imread(path, cv2.IMREAD_GRAYSCALE)
     found, numbers, _ = detector.detectMarkers(image)
     for number, corners in zip([] if numbers is None else numbers.ravel(), found, strict=True):

@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Parser, Subcommand};
+use markers::Family;
 use scene::Scene;
 use tag_board::Board;
 use toml_schema::FileError;
-use vpc_camera::finder::BLACK;
 
 use crate::target::Target;
 
@@ -170,7 +170,7 @@ impl TargetArguments {
             let allowed = "above 0: the side of a tag with its white border, m";
             return Err(FileError::value(&path, key, scene.marker_size, allowed));
         }
-        let target = Target::of_scene(&scene, BLACK * scene.marker_size);
+        let target = Target::of_scene(&scene, Family::default().black_share() * scene.marker_size);
         Ok((target, None))
     }
 }

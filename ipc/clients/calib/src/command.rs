@@ -95,7 +95,7 @@ pub fn run(command: &Command, stop: &AtomicBool) -> Result<bool, Failure> {
 
 fn draw(arguments: &BoardArguments) -> Result<bool, Failure> {
     let board = board(arguments.board.as_deref())?;
-    let svg = sheet::svg(&board).map_err(|error| Failure::new(Exit::Software, error))?;
+    let svg = sheet::svg(&board);
     if arguments.output.output.is_empty() {
         print!("{svg}");
     }

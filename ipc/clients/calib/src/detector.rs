@@ -1,5 +1,6 @@
 //! From images to views.
 
+use markers::Family;
 use vpc_camera::grey::Grey;
 use vpc_camera::tags::{TagError, TagFinder, Templates};
 
@@ -19,7 +20,7 @@ impl Detector {
     /// [`TagError`]: the library is broken.
     pub fn new() -> Result<Self, TagError> {
         Ok(Self {
-            templates: Templates::new()?,
+            templates: Templates::new(Family::default())?,
             finder: None,
         })
     }

@@ -2,8 +2,7 @@
 
 use std::fmt::Write;
 
-use kornia_apriltag::errors::AprilTagError;
-use kornia_apriltag::family::TagFamily;
+use markers::Family;
 use tag_board::Board;
 use vpc_camera::sheet::tag;
 
@@ -13,11 +12,8 @@ const PAPER: [f64; 2] = [210.0, 297.0];
 const MARGIN: f64 = 10.0;
 
 /// Draws a board in the middle of an A4 page, upright or across; of a larger page if it must be.
-///
-/// # Errors
-/// None, unless the library of tags is broken.
-pub fn svg(board: &Board) -> Result<String, AprilTagError> {
-    let family = TagFamily::tag36_h11()?;
+pub fn svg(board: &Board) -> String {
+    let family = Family::default();
     let extent = board.extent().map(|side| 1e3 * side);
     let [width, height] = page(extent, 1e3 * board.module());
     let (size, gap) = (1e3 * board.tag_size, 1e3 * board.gap);
@@ -28,8 +24,7 @@ pub fn svg(board: &Board) -> Result<String, AprilTagError> {
     );
     for (number, corner) in board.tags() {
         let corner = [0, 1].map(|k| 0.5 * [width, height][k] + 1e3 * corner[k]);
-        let code = family.code_data.get(number as usize).copied().unwrap_or(0);
-        tag(&mut text, &family, code, corner, size);
+        tag(&mut text, family, number, corner, size);
     }
     let words = format!(
         "36h11, {} x {}, tags {} to {last}: tag_size = {}, gap = {} (m). Print at 100 %; this line is 100 mm:",
@@ -44,7 +39,7 @@ pub fn svg(board: &Board) -> Result<String, AprilTagError> {
         MARGIN,
         height - 3.6,
     );
-    Ok(text)
+    text
 }
 
 /// Width and height, mm.

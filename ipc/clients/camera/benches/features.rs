@@ -1,5 +1,6 @@
 //! From an image of 640 x 480 px to features. `cargo bench -p vpc-camera`
 
+use markers::Family;
 use scene::Scene;
 use vision::{Look, Renderer};
 use vpc_camera::config::Targets;
@@ -29,7 +30,7 @@ fn bench(bencher: divan::Bencher, is_followed: bool) {
     let grey = Grey::new(image.pixels(), 640, 480, 640).expect("an image");
     let targets = Targets::Centres(vec![0, 1, 2, 3]);
     let lens = Lens::pinhole(&scene.camera);
-    let new = || Finder::new(&scene, &lens, &targets).expect("a finder");
+    let new = || Finder::new(&scene, &lens, Family::default(), &targets).expect("a finder");
     let mut followed = new();
     let mut sequence = 0;
     let mut look = |finder: &mut Finder| {

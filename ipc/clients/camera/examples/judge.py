@@ -1,4 +1,4 @@
-"""What other detectors find in the pictures of a folder: judge.py FOLDER
+"""What other detectors find in the pictures of a folder: judge.py FOLDER DICTIONARY
 
 Prints a JSON object for each detector: for each picture, in the order of the names, the milliseconds
 it took on one thread, and the centres of the tags by number, px; the centre of the upper left pixel
@@ -15,10 +15,11 @@ from pupil_apriltags import Detector
 
 cv2.setNumThreads(1)
 pictures = sorted(path for path in Path(sys.argv[1]).iterdir() if path.suffix in (".png", ".pgm"))
-apriltag = Detector(families="tag36h11", nthreads=1, quad_decimate=1.0)
+_, _, family = sys.argv[2].partition("DICT_APRILTAG_")
+apriltag = Detector(families=f"tag{family}", nthreads=1, quad_decimate=1.0) if family else None
 parameters = cv2.aruco.DetectorParameters()
 parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, sys.argv[2]))
 aruco = cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
@@ -41,7 +42,10 @@ def by_aruco(image):
     return {int(n): crossing(*c.reshape(4, 2).astype(float)) for n, c in zip(numbers.ravel(), corners)}
 
 
-for name, detect in (("AprilTag 3", by_apriltag), ("OpenCV ArUco", by_aruco)):
+detectors = [("OpenCV ArUco", by_aruco)]
+if apriltag:
+    detectors.insert(0, ("AprilTag 3", by_apriltag))
+for name, detect in detectors:
     frames = []
     for path in pictures:
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)

@@ -8,6 +8,7 @@ use std::time::Instant;
 
 use anyhow::{Context, ensure};
 use clap::Parser;
+use markers::Family;
 use scene::Scene;
 use serde::{Deserialize, Serialize};
 use testkit::python::{Environment, run, script};
@@ -25,7 +26,10 @@ const PASSES: usize = 5;
 struct Arguments {
     /// Consecutive pictures of one size, .png or .pgm, in the order of their names.
     folder: PathBuf,
-    /// Numbers of the tags (36h11): 4 to 8, on one plane.
+    /// Family of the tags, by OpenCV's name.
+    #[arg(long, default_value_t)]
+    family: Family,
+    /// Numbers of the tags: 4 to 8, on one plane.
     #[arg(long, value_delimiter = ',', default_value = "0,1,2,3")]
     tags: Vec<u32>,
     /// Run no other detectors.
@@ -72,7 +76,7 @@ fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     let mut all = vec![ours(&arguments)?];
     if !arguments.alone {
-        all.extend(others(&arguments.folder)?);
+        all.extend(others(&arguments.folder, arguments.family)?);
     }
     for n in 0..all.len() {
         all[n].summary = summary(&all[n], &all[0], &arguments.tags);
@@ -124,7 +128,8 @@ fn ours(arguments: &Arguments) -> anyhow::Result<Found> {
         );
     }
     let targets = Targets::Centres(arguments.tags.clone());
-    let mut finder = Finder::new(&scene, &Lens::pinhole(&scene.camera), &targets)?;
+    let lens = Lens::pinhole(&scene.camera);
+    let mut finder = Finder::new(&scene, &lens, arguments.family, &targets)?;
     let mut frames = Vec::new();
     let stop = AtomicBool::new(false);
     while let Some(frame) = replay.next(&stop)? {
@@ -145,7 +150,7 @@ fn ours(arguments: &Arguments) -> anyhow::Result<Found> {
     })
 }
 
-fn others(folder: &Path) -> anyhow::Result<Vec<Found>> {
+fn others(folder: &Path, family: Family) -> anyhow::Result<Vec<Found>> {
     let environment = Environment {
         name: "python-detectors",
         requirements: &[],
@@ -159,7 +164,8 @@ fn others(folder: &Path) -> anyhow::Result<Vec<Found>> {
         return Ok(Vec::new());
     };
     let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/judge.py");
-    let said = run(script(&python, &program).arg(folder)).map_err(anyhow::Error::msg)?;
+    let said = run(script(&python, &program).arg(folder).arg(family.name()))
+        .map_err(anyhow::Error::msg)?;
     let each = said.lines().map(serde_json::from_str);
     each.collect::<Result<_, _>>().context("judge.py")
 }

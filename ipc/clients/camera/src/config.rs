@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{ArgMatches, Args, Parser, Subcommand, ValueEnum};
+use markers::Family;
 use scene::Scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -13,9 +14,9 @@ use crate::lens::{self, Lens};
 use crate::mask;
 use crate::source::Shutter;
 
-/// Finds AprilTags in a camera's images and publishes them as features.
+/// Finds tags in a camera's images and publishes them as features.
 ///
-/// Takes images from shared memory, a camera or files, finds tags of family 36h11, and publishes
+/// Takes images from shared memory, a camera or files, finds AprilTags or ArUco markers, and publishes
 /// vpc/features. Exit codes: 0 stopped by SIGTERM, or the files are over; 64 usage, 66 a file is
 /// missing, 69 the source or the shared memory cannot be used, 70 a defect, 78 configuration.
 #[derive(Parser, Debug)]
@@ -65,14 +66,18 @@ pub struct Keys {
         "x-default" = "the scene's camera"
     ))]
     pub calibration: Option<PathBuf>,
+    /// Family of the tags, by OpenCV's name.
+    #[arg(long, default_value_t)]
+    #[schemars(extend("x-allowed" = "`DICT_` and 4X4, 5X5, 6X6 or 7X7 with _50, _100, _250 or _1000, ARUCO_ORIGINAL, ARUCO_MIP_36h12, or APRILTAG_ with 16h5, 25h9, 36h10 or 36h11"))]
+    pub family: Family,
     /// Numbers of the tags at the points of the pattern, in its order.
     #[arg(long, value_delimiter = ',')]
-    #[schemars(length(max = 8), inner(range(max = 586)), extend("x-default" = "0, 1, ..."))]
+    #[schemars(length(max = 8), extend("x-default" = "0, 1, ..."))]
     pub tags: Option<Vec<u32>>,
     /// Number of the one tag with corners that are the pattern's points: upper left, upper right,
     /// lower right, lower left.
     #[arg(long, conflicts_with = "tags")]
-    #[schemars(range(max = 586), extend("x-default" = "none"))]
+    #[schemars(extend("x-default" = "none"))]
     pub corners_of: Option<u32>,
     /// With v4l2: length of the exposure if the driver does not tell it.
     #[arg(long)]
@@ -147,6 +152,8 @@ pub struct Config {
     pub scene: Scene,
     /// The real lens.
     pub lens: Lens,
+    /// Family of the tags.
+    pub family: Family,
     /// Which tags are features.
     pub targets: Targets,
     /// Of a camera of this computer: its exposure (ns, `None` as the driver tells it), shutter and
@@ -216,6 +223,15 @@ impl Config {
             }
             None => Targets::Centres(keys.tags.unwrap_or_else(|| (0..points as u32).collect())),
         };
+        let count = keys.family.count();
+        if let Some(number) = targets.numbers().iter().find(|number| **number >= count) {
+            let key = match targets {
+                Targets::Centres(_) => "tags",
+                Targets::Corners(_) => "corners_of",
+            };
+            let allowed = format!("0 to {} of {}", count - 1, keys.family);
+            return Err(document.refuse(key, number, allowed));
+        }
         if let Targets::Centres(numbers) = &targets {
             let is_double = |i: usize| numbers[..i].contains(&numbers[i]);
             if numbers.len() != points || (0..points).any(is_double) {
@@ -235,6 +251,7 @@ impl Config {
         Ok(Self {
             source,
             lens,
+            family: keys.family,
             targets,
             exposure: {
                 let ns = |ms: f64| (1e6 * ms).round() as u64;

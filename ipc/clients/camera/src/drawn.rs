@@ -1,6 +1,6 @@
 //! Drawings of tags for the tests of this crate.
 
-use kornia_apriltag::family::TagFamily;
+use markers::Family;
 use nalgebra::{Matrix3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -48,24 +48,19 @@ impl Drawing {
     }
 
     /// Paints a tag with its white border; `h` takes tag coordinates to px.
-    pub fn tag(&mut self, number: usize, h: &Matrix3<f64>) {
-        let family = TagFamily::tag36_h11().unwrap();
-        let mut bits = [[0.0; 8]; 8];
-        for (k, (x, y)) in family.bit_x.iter().zip(&family.bit_y).enumerate() {
-            let bit = family.code_data[number] >> (35 - k) & 1;
-            bits[*y as usize][*x as usize] = bit as f64;
-        }
+    pub fn tag(&mut self, family: Family, number: u32, h: &Matrix3<f64>) {
+        let black = family.black() as f64;
         let back = h.try_inverse().unwrap();
         self.paint(|u, v| {
             let p = back * Vector3::new(u, v, 1.0);
-            let [i, j] = [p.x / p.z, p.y / p.z].map(|x| ((x + 1.0) * 4.0).floor());
+            let [i, j] = [p.x / p.z, p.y / p.z].map(|x| (0.5 * (x + 1.0) * black).floor());
             let is_within =
                 |least: f64, most: f64| (least..=most).contains(&i) && (least..=most).contains(&j);
-            if is_within(0.0, 7.0) {
-                let bit = bits[j as usize][i as usize];
-                Some(BLACK + bit * (WHITE - BLACK))
+            if is_within(0.0, black - 1.0) {
+                let is_white = family.is_white(number, [i, j].map(|k| k as usize));
+                Some(if is_white { WHITE } else { BLACK })
             } else {
-                is_within(-1.0, 8.0).then_some(WHITE)
+                is_within(-1.0, black).then_some(WHITE)
             }
         });
     }

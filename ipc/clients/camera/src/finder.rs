@@ -1,5 +1,6 @@
 //! From an image to features: tags are looked for where they are expected, else everywhere.
 
+use markers::Family;
 use scene::Scene;
 
 use crate::config::Targets;
@@ -17,13 +18,11 @@ const STEP: usize = 32;
 /// Largest window, px.
 const LARGEST: usize = 320;
 /// How much a window is wider than the tag's black square, and how much more, px. The white border
-/// is an eighth on each side.
+/// is a sixth on each side at most.
 const WIDER: f64 = 1.5;
 const ROOM_PX: f64 = 10.0;
 /// Tags that look at least this large may be looked for in every other pixel, px.
 const COARSE_PX: f64 = 70.0;
-/// Share of the marker, with its white border, that is black.
-pub const BLACK: f64 = 0.8;
 
 /// What an image shows.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,6 +43,7 @@ pub struct Finder {
     scene: Scene,
     lens: Lens,
     targets: Targets,
+    family: Family,
     templates: Templates,
     everywhere: TagFinder,
     /// By side of the window and step of the search.
@@ -55,17 +55,23 @@ pub struct Finder {
 }
 
 impl Finder {
-    /// Finds these targets of a scene through a lens.
+    /// Finds these targets of a scene, tags of this family, through a lens.
     ///
     /// # Errors
     /// The image is too large for the detector.
-    pub fn new(scene: &Scene, lens: &Lens, targets: &Targets) -> Result<Self, TagError> {
-        let templates = Templates::new()?;
+    pub fn new(
+        scene: &Scene,
+        lens: &Lens,
+        family: Family,
+        targets: &Targets,
+    ) -> Result<Self, TagError> {
+        let templates = Templates::new(family)?;
         let (width, height) = (scene.camera.width as usize, scene.camera.height as usize);
-        let planes = planes(scene, targets);
+        let planes = planes(scene, family, targets);
         Ok(Self {
             everywhere: TagFinder::new(&templates, width, height, 2)?,
             windows: Vec::new(),
+            family,
             templates,
             tracker: Tracker::new(targets.numbers().iter().copied().zip(planes)),
             scene: scene.clone(),
@@ -115,8 +121,8 @@ impl Finder {
             let Some((corners, center)) = self.tracker.place(index) else {
                 continue;
             };
-            // The white border makes it wider by a quarter.
-            let rim = |corner: Point| [0, 1].map(|k| center[k] + (corner[k] - center[k]) / BLACK);
+            let black = self.family.black_share();
+            let rim = |corner: Point| [0, 1].map(|k| center[k] + (corner[k] - center[k]) / black);
             list.push(Place {
                 number,
                 center,
@@ -244,12 +250,12 @@ impl Finder {
 }
 
 /// Corners of the tags on the plane of the pattern, m, where the scene tells their size.
-fn planes(scene: &Scene, targets: &Targets) -> Vec<Option<Corners>> {
+fn planes(scene: &Scene, family: Family, targets: &Targets) -> Vec<Option<Corners>> {
     let flat = |p: &[f64; 3]| [p[0], p[1]];
     match targets {
         Targets::Centres(_) => {
             let square = |[x, y]: Point| {
-                let half = 0.5 * BLACK * scene.marker_size;
+                let half = 0.5 * family.black_share() * scene.marker_size;
                 let corners = [[-half, -half], [half, -half], [half, half], [-half, half]];
                 (half > 0.0).then(|| corners.map(|[a, b]| [x + a, y + b]))
             };

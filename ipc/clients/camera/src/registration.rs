@@ -7,7 +7,7 @@
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 use crate::grey::Grey;
-use crate::template::{Blur, Edge, MODULE, Template};
+use crate::template::{Blur, Edge, Template};
 
 /// Passes of the fit.
 const PASSES: usize = 3;
@@ -44,10 +44,6 @@ const NEAR_PX: f64 = 1.5;
 /// neighbours leave it.
 const LOCAL: f64 = 0.25;
 const RESOLVED: f64 = 0.8;
-/// Places of the edges, and modules of the border, that may lie outside the image: half a side and
-/// a whole one. As many places of each side must be inside.
-const OUTSIDE: usize = 8;
-const CELLS_OUTSIDE: usize = 10;
 
 /// Unknowns: the homography with a last entry of 1, and by how far white reaches over black along x
 /// and y (px), as saturation, the sensor's curve, sharpening and motion make it.
@@ -93,7 +89,7 @@ fn fit(
         let mut softness = [[0.0_f64; 3]; 2];
         let mut places = Vec::with_capacity(template.edges.len());
         for edge in &template.edges {
-            let place = Place::of(&h, edge);
+            let place = Place::of(&h, edge, template.module);
             let mut reach = REACH_PX.min(REACH * place.module_px);
             if pass == PASSES {
                 let sigma = blur.sigma()[edge.axis()] * place.module_px;
@@ -139,7 +135,7 @@ fn fit(
             continue;
         }
         let mut seen = Seen::of(&places, template, &step);
-        if seen.misfits > 0 && seen.is_whole() {
+        if seen.misfits > 0 && seen.is_whole(template) {
             // They are few, and something covers them: the fit is better without.
             for (row, off, module_px) in places.iter().flatten() {
                 if is_misfit(off - row.dot(&step), *module_px) {
@@ -157,7 +153,7 @@ fn fit(
             step = without;
             seen = Seen::of(&places, template, &step);
         }
-        let is_whole = seen.is_whole() && light.is_whole(image, template, &blur, &h);
+        let is_whole = seen.is_whole(template) && light.is_whole(image, template, &blur, &h);
         return (is_whole.then_some(h), Some(sigma));
     }
     (None, None)
@@ -212,15 +208,17 @@ impl Seen {
         }
     }
 
-    fn is_whole(&self) -> bool {
+    fn is_whole(&self, template: &Template) -> bool {
+        // Half the places of a side may lie outside the image; as many of each must be inside.
+        let half = template.black;
         let is_there = |(sum, count): &(f64, f64)| (sum / count).abs() < SIDE_OFF_PX;
         let outside = self.outside.iter().sum::<usize>();
         let side = self.sides.iter().map(|(_, count)| *count as usize).min();
         self.misfits_of_outline <= OUTLINE_MISFITS
             && self.misfits as f64 <= MISFITS * self.places as f64
             && self.sides.iter().all(is_there)
-            && outside <= OUTSIDE
-            && side.is_some_and(|least| least >= OUTSIDE)
+            && outside <= half
+            && side.is_some_and(|least| least >= half)
     }
 }
 
@@ -267,7 +265,8 @@ impl Light {
             let (black, contrast) = self.levels(cell.at);
             ((level - black) / contrast - blur.level(template, cell)).abs() < LEVEL
         });
-        all && outside <= CELLS_OUTSIDE
+        // A side of the border.
+        all && outside <= template.side
     }
 }
 
@@ -316,7 +315,7 @@ impl Profile {
 }
 
 impl Place {
-    fn of(h: &Matrix3<f64>, edge: &Edge) -> Self {
+    fn of(h: &Matrix3<f64>, edge: &Edge, module: f64) -> Self {
         let pixel = project(h, edge.at);
         let w = h[(2, 0)] * edge.at[0] + h[(2, 1)] * edge.at[1] + h[(2, 2)];
         // Derivatives of the projection along the edge and towards white.
@@ -337,7 +336,7 @@ impl Place {
             normal: normal.map(|x| across.signum() * x),
             to_white: to_white.map(|x| x / far),
             slant: across.abs() / far,
-            module_px: MODULE * far,
+            module_px: module * far,
         }
     }
 

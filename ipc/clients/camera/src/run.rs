@@ -87,7 +87,7 @@ pub fn run(
     let mut features: Publisher<Features> = domain.publisher()?;
     let mut source = open(config, &domain)?;
     drop(start_up);
-    let mut finder = Finder::new(&config.scene, &config.lens, &config.targets)?;
+    let mut finder = Finder::new(&config.scene, &config.lens, config.family, &config.targets)?;
     let mut mask = MaskCheck::new(&config.scene, Settings::default());
     // The detector's library divides its work among the threads of the pool that it is called from:
     // this one alone, as the controller and the camera want the others.

@@ -6,16 +6,11 @@ use std::path::PathBuf;
 
 use anyhow::{Context, bail};
 use clap::Args;
-use kornia_apriltag::family::TagFamily;
+use markers::Family;
 use scene::Scene;
 
-/// Tags of family 36h11: their numbers are below.
-const NUMBERS: u32 = 587;
 /// Paper about the markers, mm.
 const MARGIN: f64 = 15.0;
-/// Modules along a side: of a marker with its white border, and of its black square.
-const WHOLE: f64 = 10.0;
-const BLACK: f64 = 8.0;
 
 /// What to draw.
 #[derive(Args, Debug)]
@@ -26,6 +21,9 @@ pub struct Arguments {
     /// Numbers of the tags, in the order of the points; 0, 1, ... where they are not given.
     #[arg(long, value_delimiter = ',', value_name = "NUMBERS")]
     tags: Option<Vec<u32>>,
+    /// Family of the tags, by OpenCV's name.
+    #[arg(long, default_value_t)]
+    family: Family,
     /// The drawing (SVG), in its true size.
     #[arg(short, long)]
     output: PathBuf,
@@ -49,19 +47,21 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<String> {
         Some(numbers) => numbers.clone(),
         None => (0..points as u32).collect(),
     };
-    let text = svg(&scene, &numbers).with_context(|| arguments.scene.display().to_string())?;
+    let family = arguments.family;
+    let text =
+        svg(&scene, family, &numbers).with_context(|| arguments.scene.display().to_string())?;
     fs::write(&arguments.output, text).with_context(|| format!("{file}: cannot write"))?;
-    let black = 1e3 * scene.marker_size * BLACK / WHOLE;
+    let black = 1e3 * scene.marker_size * family.black_share();
     Ok(format!(
         "wrote {file}: print it at 100 %; each black square is {black:.2} mm wide, as measured between its outer edges\n"
     ))
 }
 
-/// Draws these tags of family 36h11 at the points of a scene's pattern, x to the right and y down.
+/// Draws these tags of a family at the points of a scene's pattern, x to the right and y down.
 ///
 /// # Errors
 /// Markers without a size or that overlap, or numbers that are not one for each point.
-pub fn svg(scene: &Scene, numbers: &[u32]) -> anyhow::Result<String> {
+pub fn svg(scene: &Scene, family: Family, numbers: &[u32]) -> anyhow::Result<String> {
     let points = Vec::from_iter(scene.pattern.iter().map(|p| [1e3 * p[0], 1e3 * p[1]]));
     let side = 1e3 * scene.marker_size;
     if side <= 0.0 {
@@ -69,11 +69,12 @@ pub fn svg(scene: &Scene, numbers: &[u32]) -> anyhow::Result<String> {
             "pattern.marker_size: none; allowed: the side of a tag with its white border, above 0 m"
         );
     }
-    let is_known = numbers.iter().all(|number| *number < NUMBERS);
+    let known = family.count();
+    let is_known = numbers.iter().all(|number| *number < known);
     if numbers.len() != points.len() || !is_known {
         let count = points.len();
         bail!(
-            "tags {numbers:?}; allowed: {count} numbers below {NUMBERS}, one for each point of the pattern"
+            "tags {numbers:?}; allowed: {count} numbers below {known}, one for each point of the pattern"
         );
     }
     for (k, a) in points.iter().enumerate() {
@@ -97,18 +98,15 @@ pub fn svg(scene: &Scene, numbers: &[u32]) -> anyhow::Result<String> {
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width:.3}mm\" height=\"{height:.3}mm\" viewBox=\"{left:.3} {top:.3} {width:.3} {height:.3}\">\n\
          <rect x=\"{left:.3}\" y=\"{top:.3}\" width=\"{width:.3}\" height=\"{height:.3}\" fill=\"#fff\"/>\n"
     );
-    let family = TagFamily::tag36_h11()?;
     for (center, number) in points.iter().zip(numbers) {
-        let code = family.code_data.get(*number as usize).copied();
-        let code = code.with_context(|| format!("tag {number}: the library has none"))?;
-        let black = side * BLACK / WHOLE;
+        let black = side * family.black_share();
         let corner = center.map(|value| value - 0.5 * black);
-        tag(&mut text, &family, code, corner, black);
+        tag(&mut text, family, *number, corner, black);
     }
     let (x, y) = (left + 5.0, top + height - 5.0);
     let _ = writeln!(
         text,
-        "<text x=\"{x:.3}\" y=\"{:.3}\" font-family=\"sans-serif\" font-size=\"2.6\">tags {numbers:?} of 36h11; print at 100 %, \
+        "<text x=\"{x:.3}\" y=\"{:.3}\" font-family=\"sans-serif\" font-size=\"2.6\">tags {numbers:?} of {family}; print at 100 %, \
          this line is 50 mm:</text>\n\
          <path d=\"M{x:.3} {y:.3}h50m-50 -1.2v2.4m50 -2.4v2.4\" stroke=\"#000\" stroke-width=\"0.2\" fill=\"none\"/>\n</svg>",
         y - 2.4
@@ -118,20 +116,17 @@ pub fn svg(scene: &Scene, numbers: &[u32]) -> anyhow::Result<String> {
 
 /// Draws a tag into an SVG: a black square with this upper left corner and side, mm, and its white
 /// bits, which are one path so that no seam shows between them.
-pub fn tag(text: &mut String, family: &TagFamily, code: usize, [x, y]: [f64; 2], side: f64) {
-    let module = side / BLACK;
+pub fn tag(text: &mut String, family: Family, number: u32, [x, y]: [f64; 2], side: f64) {
+    let modules = family.black();
+    let module = side / modules as f64;
     let _ = write!(
         text,
         "<rect x=\"{x:.4}\" y=\"{y:.4}\" width=\"{side:.4}\" height=\"{side:.4}\"/><path fill=\"#fff\" d=\""
     );
-    // Bits count from the highest; their places from the corner of the black square.
-    let places = family.bit_x.iter().zip(&family.bit_y).rev();
-    for (bit, (column, row)) in places.enumerate() {
-        if code >> bit & 1 == 1 {
-            let [u, v] = [
-                x + f64::from(*column) * module,
-                y + f64::from(*row) * module,
-            ];
+    for place in (0..modules * modules).map(|k| [k % modules, k / modules]) {
+        if family.is_white(number, place) {
+            let [column, row] = place.map(|k| k as f64 * module);
+            let [u, v] = [x + column, y + row];
             let _ = write!(text, "M{u:.4} {v:.4}h{module:.4}v{module:.4}h-{module:.4}z");
         }
     }
@@ -187,14 +182,16 @@ mod tests {
     fn printed_tags_are_found_where_the_pattern_has_them() {
         let scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
         let numbers = [7, 0, 586, 42];
-        let text = svg(&scene, &numbers).unwrap();
+        let family = Family::default();
+        let text = svg(&scene, family, &numbers).unwrap();
         // Millimetres, and a line of 50 of them.
         assert!(
             text.contains("width=\"180.000mm\" height=\"150.000mm\" viewBox=\"-90.000 -75.000")
         );
         let (pixels, width, height) = drawn(&text, [-90.0, -75.0], [180.0, 150.0]);
         let image = Grey::new(&pixels, width, height, width).unwrap();
-        let mut finder = TagFinder::new(&Templates::new().unwrap(), width, height, 1).unwrap();
+        let mut finder =
+            TagFinder::new(&Templates::new(family).unwrap(), width, height, 1).unwrap();
         let found = finder.find(&image).unwrap();
         assert_eq!(found.len(), 4);
         for (number, [x, y, _]) in numbers.iter().zip(&scene.pattern) {
@@ -215,7 +212,11 @@ mod tests {
 
     #[test]
     fn what_cannot_be_printed_is_refused() {
-        let refused = |scene: &Scene, numbers: &[u32]| svg(scene, numbers).unwrap_err().to_string();
+        let refused = |scene: &Scene, numbers: &[u32]| {
+            svg(scene, Family::default(), numbers)
+                .unwrap_err()
+                .to_string()
+        };
         let tags = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
         let points = edited("marker_size = 0.03", "");
         let large = edited("marker_size = 0.03", "marker_size = 0.1");

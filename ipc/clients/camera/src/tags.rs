@@ -1,12 +1,15 @@
-//! AprilTags of family 36h11 in a grey image.
+//! Tags of a family in a grey image.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, OnceLock};
 
+use kornia_apriltag::decoder::{QuickDecode, SharpeningBuffer};
 use kornia_apriltag::errors::AprilTagError;
 use kornia_apriltag::family::{TagFamily, TagFamilyKind};
 use kornia_apriltag::{AprilTagDecoder, DecodeTagsConfig};
 use kornia_image::{Image, ImageSize};
 use kornia_imgproc::filter::gaussian_blur_u8;
+use markers::Family;
 use nalgebra::Matrix3;
 
 use crate::grey::Grey;
@@ -17,6 +20,8 @@ use crate::template::Template;
 /// the laboratory's starts at a blur of 2.1 px.
 const SHARPER: i32 = 3;
 const SHARPENED_PX: f32 = 2.0;
+/// Most misread bits of a tag that is not taken for another thing.
+const MISREAD: u8 = 2;
 
 /// A tag that is seen whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,7 +54,7 @@ pub struct TagFinder {
     /// The decoder takes images that own their pixels.
     image: Image<u8, 1>,
     blurred: Image<u8, 1>,
-    templates: std::sync::Arc<[Template]>,
+    templates: Templates,
     refused: Vec<u32>,
 }
 
@@ -61,32 +66,79 @@ impl std::fmt::Debug for TagFinder {
     }
 }
 
-/// The templates of all tags, which finders share.
+/// The templates of a family's tags, which finders share: each is drawn when its tag is first seen.
 #[derive(Clone, Debug)]
-pub struct Templates(std::sync::Arc<[Template]>);
+pub struct Templates {
+    family: Family,
+    library: Arc<TagFamily>,
+    drawn: Arc<[OnceLock<Template>]>,
+}
 
 /// A finder cannot be made, or an image has another size than its finder.
 #[derive(Debug, thiserror::Error)]
-#[error("AprilTags: {0}")]
+#[error("tags: {0}")]
 pub struct TagError(#[from] AprilTagError);
 
 impl Templates {
-    /// Draws them.
+    /// Those of a family.
     ///
     /// # Errors
     /// Never, unless the library is broken.
-    pub fn new() -> Result<Self, TagError> {
-        Ok(Self(Template::of(&TagFamily::tag36_h11()?).into()))
+    pub fn new(family: Family) -> Result<Self, TagError> {
+        Ok(Self {
+            family,
+            library: Arc::new(of_library(family)?),
+            drawn: (0..family.count()).map(|_| OnceLock::new()).collect(),
+        })
+    }
+
+    fn get(&self, number: u32) -> Option<&Template> {
+        let drawn = self.drawn.get(number as usize)?;
+        Some(drawn.get_or_init(|| Template::new(self.family, number)))
+    }
+
+    fn decoder(&self, size: ImageSize, coarse: usize) -> Result<AprilTagDecoder, TagError> {
+        let family = TagFamilyKind::Custom(self.library.clone());
+        let mut config = DecodeTagsConfig::new(vec![family])?;
+        config.downscale_factor = coarse;
+        Ok(AprilTagDecoder::new(config, size)?)
     }
 }
 
-fn decoder(size: ImageSize, coarse: usize) -> Result<AprilTagDecoder, TagError> {
+/// A family as the library reads it.
+fn of_library(family: Family) -> Result<TagFamily, AprilTagError> {
+    let (bits, last) = (family.bits(), family.black() - 1);
+    // Bits in four quarters, each the one before it turned to the right; then the middle one.
+    let ring = |y: usize| (y..last - y).map(move |x| [x, y]);
+    let quarter: Vec<[usize; 2]> = (1..=bits / 2).flat_map(ring).collect();
+    let mut places = quarter.clone();
+    for turn in 1..4 {
+        let turned = |k: &[usize; 2]| (0..turn).fold(*k, |[x, y], _| [last - y, x]);
+        places.extend(quarter.iter().map(turned));
+    }
+    if bits % 2 == 1 {
+        places.push([last / 2; 2]);
+    }
+    let code = |number| {
+        let bits = places.iter().map(|at| family.is_white(number, *at));
+        bits.fold(0, |code, bit| code << 1 | usize::from(bit))
+    };
+    let codes: Vec<usize> = (0..family.count()).map(code).collect();
     // One that misreads a bit is not reported: what is hidden begins with a bit.
-    let family = TagFamily::tag36_h11()?.with_max_hamming(2)?;
-    let family = TagFamilyKind::Custom(std::sync::Arc::new(family));
-    let mut config = DecodeTagsConfig::new(vec![family])?;
-    config.downscale_factor = coarse;
-    Ok(AprilTagDecoder::new(config, size)?)
+    let misread = family.corrected().min(MISREAD);
+    Ok(TagFamily {
+        name: family.name().to_owned(),
+        width_at_border: family.black(),
+        reversed_border: false,
+        total_width: family.side(),
+        nbits: places.len(),
+        bit_x: places.iter().map(|[x, _]| *x as i8).collect(),
+        bit_y: places.iter().map(|[_, y]| *y as i8).collect(),
+        quick_decode: QuickDecode::new(places.len(), &codes, misread)?,
+        code_data: codes,
+        min_hamming: 2 * family.corrected() + 1,
+        sharpening_buffer: SharpeningBuffer::new(family.side() * family.side()),
+    })
 }
 
 impl TagFinder {
@@ -103,11 +155,11 @@ impl TagFinder {
     ) -> Result<Self, TagError> {
         let size = ImageSize { width, height };
         Ok(Self {
-            decoder: decoder(size, coarse)?,
+            decoder: templates.decoder(size, coarse)?,
             coarse,
             image: Image::from_size_val(size, 0).map_err(AprilTagError::from)?,
             blurred: Image::from_size_val(size, 0).map_err(AprilTagError::from)?,
-            templates: templates.0.clone(),
+            templates: templates.clone(),
             refused: Vec::new(),
         })
     }
@@ -180,7 +232,7 @@ impl TagFinder {
         // is no tag, and the next image has another one.
         let decoded = catch_unwind(AssertUnwindSafe(|| self.decoder.decode(&self.image)));
         let Ok(found) = decoded else {
-            self.decoder = decoder(self.image.size(), self.coarse)?;
+            self.decoder = self.templates.decoder(self.image.size(), self.coarse)?;
             return Ok(Vec::new());
         };
         let found = found?;
@@ -191,7 +243,7 @@ impl TagFinder {
             if !is_wanted(number) {
                 continue;
             }
-            let Some(template) = self.templates.get(usize::from(quad.id)) else {
+            let Some(template) = self.templates.get(number) else {
                 continue;
             };
             let rows = quad.quad.homography.to_cols_array();
@@ -225,8 +277,8 @@ mod tests {
     /// Side of the images, px: the largest tag is inside it with its white border, however it is turned.
     const SIDE: usize = 160;
 
-    fn finder(coarse: usize) -> TagFinder {
-        TagFinder::new(&Templates::new().unwrap(), SIDE, SIDE, coarse).unwrap()
+    fn finder(family: Family, coarse: usize) -> TagFinder {
+        TagFinder::new(&Templates::new(family).unwrap(), SIDE, SIDE, coarse).unwrap()
     }
 
     fn found(finder: &mut TagFinder, drawing: &Drawing, seed: u64) -> Vec<Tag> {
@@ -246,10 +298,19 @@ mod tests {
         finder.find_blurred(&image, |_| true).unwrap()
     }
 
-    /// A tag somewhere in the middle: its number, and from tag coordinates to px.
-    fn placement(random: &mut ChaCha8Rng, side: f64, tilt: f64) -> (usize, Matrix3<f64>) {
+    /// A tag of 36h11 somewhere in the middle: its number, and from tag coordinates to px.
+    fn placement(random: &mut ChaCha8Rng, side: f64, tilt: f64) -> (u32, Matrix3<f64>) {
+        placement_of(Family::default(), random, side, tilt)
+    }
+
+    fn placement_of(
+        family: Family,
+        random: &mut ChaCha8Rng,
+        side: f64,
+        tilt: f64,
+    ) -> (u32, Matrix3<f64>) {
         let mut unit = || random.random::<f64>();
-        let number = (587.0 * unit()) as usize;
+        let number = (f64::from(family.count()) * unit()) as u32;
         let at = [76.0 + 8.0 * unit(), 76.0 + 8.0 * unit()];
         let tilt = [tilt * (2.0 * unit() - 1.0), tilt * (2.0 * unit() - 1.0)];
         (
@@ -281,17 +342,17 @@ mod tests {
             (42.0, 1.5, 2, 0.05, 0.15),
             (68.0, 0.6, 2, 0.03, 0.06),
         ] {
-            let mut finder = finder(coarse);
+            let mut finder = finder(Family::default(), coarse);
             let (mut centre, mut corner, mut count) = (0.0, 0.0, 0);
             for n in 0..40 {
                 let (number, h) = placement(&mut random, side, 0.12);
                 let mut drawing = Drawing::new(SIDE, SIDE, 110.0);
-                drawing.tag(number, &h);
+                drawing.tag(Family::default(), number, &h);
                 drawing.blur(blur);
                 let is_sharp = blur < side / 20.0;
                 let look = if is_sharp { found } else { found_after_all };
                 for tag in look(&mut finder, &drawing, n) {
-                    assert_eq!(tag.number, number as u32);
+                    assert_eq!(tag.number, number);
                     count += 1;
                     centre += apart(tag.centre, project(&h, [0.0; 2])).powi(2);
                     let pairs = tag.corners.iter().zip(corners(&h));
@@ -340,7 +401,12 @@ mod tests {
     #[test]
     fn a_tag_that_is_partly_hidden_is_refused_or_exact() {
         let step = if testkit::is_long() { 0.35 } else { 1.4 };
-        slide("through a lens", &|drawing| drawing.blur(0.6), step);
+        slide(
+            Family::default(),
+            "through a lens",
+            &|drawing| drawing.blur(0.6),
+            step,
+        );
     }
 
     /// What a camera does to its pictures, and light to a print.
@@ -348,7 +414,89 @@ mod tests {
     fn so_it_is_in_what_a_real_camera_makes_of_it() {
         let step = if testkit::is_long() { 0.7 } else { 4.2 };
         for (name, change) in CHANGES {
-            slide(name, &change, step);
+            slide(Family::default(), name, &change, step);
+        }
+    }
+
+    /// Families that the tests go through, of every size and of every kind.
+    const FAMILIES: [&str; 7] = [
+        "DICT_4X4_50",
+        "DICT_5X5_100",
+        "DICT_6X6_250",
+        "DICT_7X7_1000",
+        "DICT_ARUCO_ORIGINAL",
+        "DICT_APRILTAG_16h5",
+        "DICT_APRILTAG_25h9",
+    ];
+
+    fn families() -> impl Iterator<Item = Family> {
+        FAMILIES.into_iter().map(|name| name.parse().unwrap())
+    }
+
+    #[test]
+    fn so_it_is_of_every_family() {
+        let step = if testkit::is_long() { 0.7 } else { 4.2 };
+        for family in families() {
+            slide(family, family.name(), &|drawing| drawing.blur(0.6), step);
+        }
+    }
+
+    #[test]
+    fn a_tag_of_every_family_is_where_it_is_drawn() {
+        let mut random = ChaCha8Rng::seed_from_u64(3);
+        for family in families() {
+            // As wide a module as of 36h11 with 27 px.
+            let side = 27.0 / 8.0 * family.black() as f64;
+            let mut finder = finder(family, 1);
+            let (mut centre, mut corner, mut count) = (0.0, 0.0, 0);
+            for n in 0..40 {
+                let (number, h) = placement_of(family, &mut random, side, 0.12);
+                let mut drawing = Drawing::new(SIDE, SIDE, 110.0);
+                drawing.tag(family, number, &h);
+                drawing.blur(0.6);
+                for tag in found(&mut finder, &drawing, n) {
+                    assert_eq!(tag.number, number, "{family}");
+                    count += 1;
+                    centre += apart(tag.centre, project(&h, [0.0; 2])).powi(2);
+                    let pairs = tag.corners.iter().zip(corners(&h));
+                    corner += pairs.map(|(a, b)| apart(*a, b).powi(2) / 4.0).sum::<f64>();
+                }
+            }
+            let [centre, corner] = [centre, corner].map(|sum| (sum / f64::from(count)).sqrt());
+            println!(
+                "{family}, {side} px: {count} of 40, centre {centre:.3}, corner {corner:.3} px"
+            );
+            assert!(count >= 39, "{family}: {count} of 40");
+            assert!(centre < 0.04 && corner < 0.1, "{family}: {centre} {corner}");
+        }
+    }
+
+    /// The library has some of the families itself.
+    #[test]
+    fn a_family_is_that_of_the_library() {
+        let white = |family: &TagFamily, number: usize| {
+            let places = family.bit_x.iter().zip(&family.bit_y).rev();
+            let code = family.code_data[number];
+            let white = places.enumerate().filter(|(bit, _)| code >> bit & 1 == 1);
+            let mut white: Vec<_> = white.map(|(_, place)| place).collect();
+            white.sort_unstable();
+            white.into_iter().map(|(x, y)| (*x, *y)).collect::<Vec<_>>()
+        };
+        for (name, known) in [
+            ("DICT_APRILTAG_16h5", TagFamily::tag16_h5()),
+            ("DICT_APRILTAG_25h9", TagFamily::tag25_h9()),
+            ("DICT_APRILTAG_36h10", TagFamily::tag36_h10()),
+            ("DICT_APRILTAG_36h11", TagFamily::tag36_h11()),
+        ] {
+            let (ours, known) = (of_library(name.parse().unwrap()).unwrap(), known.unwrap());
+            assert_eq!(ours.code_data.len(), known.code_data.len(), "{name}");
+            for number in 0..known.code_data.len() {
+                assert_eq!(
+                    white(&ours, number),
+                    white(&known, number),
+                    "{name} {number}"
+                );
+            }
         }
     }
 
@@ -378,7 +526,7 @@ mod tests {
     #[test]
     fn a_whole_tag_is_exact_in_what_a_real_camera_makes_of_it() {
         let mut random = ChaCha8Rng::seed_from_u64(9);
-        let mut finder = finder(1);
+        let mut finder = finder(Family::default(), 1);
         for (name, change) in CHANGES {
             let (mut sum, mut squares, mut count) = ([0.0; 2], 0.0, 0.0);
             for n in 0..60 {
@@ -388,7 +536,7 @@ mod tests {
                 let middle = Matrix3::new(1.0, 0.0, 80.0, 0.0, 1.0, 80.0, 0.0, 0.0, 1.0);
                 let h = middle * look * middle.try_inverse().unwrap() * h;
                 let mut drawing = Drawing::new(SIDE, SIDE, 110.0);
-                drawing.tag(number, &h);
+                drawing.tag(Family::default(), number, &h);
                 change(&mut drawing);
                 for tag in found(&mut finder, &drawing, n) {
                     let truth = project(&h, [0.0; 2]);
@@ -413,14 +561,14 @@ mod tests {
     #[test]
     fn the_image_ends_in_the_white_border_at_the_earliest() {
         let mut random = ChaCha8Rng::seed_from_u64(11);
-        let mut finder = finder(1);
+        let mut finder = finder(Family::default(), 1);
         for (beyond, count) in [(2.5, 10), (-3.0, 0)] {
             let mut seen = 0;
             for n in 0..10 {
                 let (number, _) = placement(&mut random, 56.0, 0.0);
                 let h = placed([80.0, 28.0 + beyond], 56.0, 0.0, [0.0; 2]);
                 let mut drawing = Drawing::new(SIDE, SIDE, 110.0);
-                drawing.tag(number, &h);
+                drawing.tag(Family::default(), number, &h);
                 drawing.blur(0.6);
                 for tag in found(&mut finder, &drawing, n) {
                     assert!(apart(tag.centre, project(&h, [0.0; 2])) < 0.1);
@@ -432,14 +580,15 @@ mod tests {
     }
 
     /// Slides things over tags, in pictures that `change` makes of the drawings.
-    fn slide(name: &str, change: &dyn Fn(&mut Drawing), step: f64) {
+    fn slide(family: Family, name: &str, change: &dyn Fn(&mut Drawing), step: f64) {
         let mut random = ChaCha8Rng::seed_from_u64(5);
-        let mut finder = finder(1);
+        let mut finder = finder(family, 1);
         let (mut frames, mut reported, mut worst) = (0, 0, 0.0_f64);
-        for side in [20.0, 27.0, 60.0] {
+        // Sides of 36h11's; a module is as wide in every family.
+        for side in [20.0, 27.0, 60.0].map(|side| side * family.black() as f64 / 8.0) {
             for shape in ["aligned edge", "edge", "bar", "disc"] {
                 for level in [BLACK, 60.0, 0.5 * (BLACK + WHITE), WHITE, 255.0] {
-                    let (number, h) = placement(&mut random, side, 0.1);
+                    let (number, h) = placement_of(family, &mut random, side, 0.1);
                     let centre = project(&h, [0.0; 2]);
                     let turn = match shape {
                         "aligned edge" => h[(1, 0)].atan2(h[(0, 0)]),
@@ -452,7 +601,7 @@ mod tests {
                         reach: 2.0 + 6.0 * random.random::<f64>(),
                     };
                     let mut clean = Drawing::new(SIDE, SIDE, 110.0);
-                    clean.tag(number, &h);
+                    clean.tag(family, number, &h);
                     let end = side + 4.0;
                     let mut x = random.random::<f64>() - end;
                     while x < end {
@@ -464,7 +613,7 @@ mod tests {
                         change(&mut drawing);
                         frames += 1;
                         for tag in found_after_all(&mut finder, &drawing, frames) {
-                            assert_eq!(tag.number, number as u32);
+                            assert_eq!(tag.number, number);
                             reported += 1;
                             let off = apart(tag.centre, centre);
                             worst = worst.max(off);
@@ -486,10 +635,10 @@ mod tests {
     #[test]
     fn a_tag_without_its_white_border_is_refused() {
         let mut random = ChaCha8Rng::seed_from_u64(7);
-        let mut finder = finder(1);
+        let mut finder = finder(Family::default(), 1);
         let (number, h) = placement(&mut random, 42.0, 0.0);
         let mut drawing = Drawing::new(SIDE, SIDE, 110.0);
-        drawing.tag(number, &h);
+        drawing.tag(Family::default(), number, &h);
         assert_eq!(found(&mut finder, &drawing, 1).len(), 1);
         // Dark up to a sixth of a module from the black square.
         let back = h.try_inverse().unwrap();

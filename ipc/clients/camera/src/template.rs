@@ -1,26 +1,18 @@
-//! What a tag of family 36h11 looks like.
+//! What a tag looks like.
 //!
 //! Tag coordinates: x to the right, y down on the upright tag; its black square reaches from -1 to
-//! 1. A module is the side of a bit, 1/4.
+//! 1. A module is the side of a bit.
 
-use kornia_apriltag::family::TagFamily;
+use markers::Family;
 
 use crate::blur::{area_below, below};
 
-/// Modules along a side, with the black border and the white one about it.
-const SIDE: usize = 10;
 /// White modules that are taken to be about it: what a blur may reach.
 const MARGIN: usize = 3;
-/// Modules along a side with those.
-const WIDE: usize = SIDE + 2 * MARGIN;
-/// The last of the white border's.
-const LAST: usize = MARGIN + SIDE - 1;
 /// Modules on each side of one that a blur reaches.
 const REACH: usize = 2;
 /// Weights of those.
 type Weights = [f64; 2 * REACH + 1];
-/// Side of a module in tag coordinates.
-pub(crate) const MODULE: f64 = 0.25;
 /// Places along each edge of a module at which the border between black and white is measured, in
 /// modules from its middle.
 const ALONG: [f64; 2] = [-0.22, 0.22];
@@ -61,8 +53,14 @@ pub(crate) struct Cell {
 /// The modules of one tag.
 #[derive(Clone, Debug)]
 pub(crate) struct Template {
-    /// 1 for white, by row and column.
-    modules: [[f64; WIDE]; WIDE],
+    /// 1 for white, row by row, with the margin.
+    modules: Vec<f64>,
+    /// Modules along a side: with the margin, with the white border, of the black square.
+    wide: usize,
+    pub side: usize,
+    pub black: usize,
+    /// Side of a module in tag coordinates.
+    pub module: f64,
     /// Every border between black and white.
     pub edges: Vec<Edge>,
     /// The modules of the black and the white border.
@@ -70,32 +68,25 @@ pub(crate) struct Template {
 }
 
 impl Template {
-    /// The template of each tag of a family whose border is eight modules wide, by number.
-    pub fn of(family: &TagFamily) -> Vec<Self> {
-        let codes = family.code_data.iter();
-        codes.map(|code| Self::new(family, *code)).collect()
-    }
-
-    fn new(family: &TagFamily, code: usize) -> Self {
-        let mut modules = [[1.0; WIDE]; WIDE];
-        let black = MARGIN + 1..MARGIN + SIDE - 1;
-        for row in &mut modules[black.clone()] {
-            row[black.clone()].fill(0.0);
-        }
-        // Bits count from the highest; their places from the corner of the black square.
-        let places = family.bit_x.iter().zip(&family.bit_y).rev();
-        for (bit, (x, y)) in places.enumerate() {
-            let (column, row) = (*x as usize + black.start, *y as usize + black.start);
-            modules[row][column] = f64::from(u8::from(code >> bit & 1 == 1));
-        }
-        let centre = |k: usize| (k as f64 - 0.5 * (WIDE - 1) as f64) * MODULE;
-        let whole = MARGIN..MARGIN + SIDE;
+    /// Of the tag of this number.
+    pub fn new(family: Family, number: u32) -> Self {
+        let (side, black) = (family.side(), family.black());
+        let (wide, first, last) = (side + 2 * MARGIN, MARGIN, MARGIN + side - 1);
+        let is_white = |place: [usize; 2]| {
+            let is_about = place.iter().any(|k| *k <= first || *k >= last);
+            is_about || family.is_white(number, place.map(|k| k - first - 1))
+        };
+        let modules = (0..wide * wide).map(|k| f64::from(u8::from(is_white([k % wide, k / wide]))));
+        let modules: Vec<f64> = modules.collect();
+        let module = 2.0 / black as f64;
+        let centre = |k: usize| (k as f64 - 0.5 * (wide - 1) as f64) * module;
+        let whole = first..last + 1;
         let cells = whole
             .clone()
             .flat_map(|j| whole.clone().map(move |i| [i, j]));
         let border = cells.clone().filter_map(|place| {
             // Rings from the outside: 0 is the white border, 1 the black one.
-            let depth = place.map(|k| (k - MARGIN).min(LAST - k));
+            let depth = place.map(|k| (k - first).min(last - k));
             let ring = depth[0].min(depth[1]);
             (ring < 2).then(|| Cell {
                 at: place.map(centre),
@@ -108,20 +99,20 @@ impl Template {
         let mut edges = Vec::new();
         for [i, j] in cells {
             for (axis, [k, l]) in [(0, [i + 1, j]), (1, [i, j + 1])] {
-                let is_black = [modules[j][i] == 0.0, modules[l][k] == 0.0];
+                let is_black = [[i, j], [k, l]].map(|[i, j]| modules[j * wide + i] == 0.0);
                 if is_black[0] == is_black[1] {
                     continue;
                 }
                 let sign = if is_black[0] { 1.0 } else { -1.0 };
                 let side = match ([i, j][axis], [k, l][axis]) {
-                    (MARGIN, _) => Some(axis),
-                    (_, LAST) => Some(axis + 2),
+                    (k, _) if k == first => Some(axis),
+                    (_, k) if k == last => Some(axis + 2),
                     _ => None,
                 };
                 let middle = [0.5 * (centre(i) + centre(k)), 0.5 * (centre(j) + centre(l))];
                 for (along, offset) in ALONG.into_iter().enumerate() {
                     let (mut at, mut to_white) = (middle, [0.0; 2]);
-                    at[1 - axis] += offset * MODULE;
+                    at[1 - axis] += offset * module;
                     to_white[axis] = sign;
                     edges.push(Edge {
                         at,
@@ -135,9 +126,18 @@ impl Template {
         }
         Self {
             modules,
+            wide,
+            side,
+            black,
+            module,
             edges,
             border,
         }
+    }
+
+    /// A row of modules, from a column on.
+    fn row(&self, row: usize, column: usize) -> &[f64] {
+        &self.modules[row * self.wide + column..(row + 1) * self.wide]
     }
 }
 
@@ -179,7 +179,7 @@ impl Blur {
     pub fn level(&self, template: &Template, cell: &Cell) -> f64 {
         let [column, row] = cell.place.map(|k| k - REACH);
         let lines = self.middle[1].iter().enumerate().map(|(j, weight)| {
-            let modules = &template.modules[row + j][column..];
+            let modules = template.row(row + j, column);
             let line = self.middle[0].iter().zip(modules);
             weight * line.map(|(weight, level)| weight * level).sum::<f64>()
         });
@@ -203,7 +203,7 @@ impl Blur {
                 } else {
                     (along, across)
                 };
-                weight * template.modules[row][column]
+                weight * template.row(row, column)[0]
             });
             lines.sum::<f64>()
         };
@@ -258,38 +258,41 @@ pub(crate) struct Across {
 mod tests {
     use super::*;
 
-    fn templates() -> Vec<Template> {
-        Template::of(&TagFamily::tag36_h11().unwrap())
+    /// The first tags of every family.
+    fn templates() -> impl Iterator<Item = Template> {
+        let families = Family::NAMES.iter().map(|name| name.parse().unwrap());
+        families.flat_map(|family| (0..20).map(move |number| Template::new(family, number)))
     }
 
     #[test]
     fn a_tag_has_its_outline_and_the_edges_of_its_bits() {
-        let templates = templates();
-        assert_eq!(templates.len(), 587);
-        for template in &templates {
+        for template in templates() {
             let white = template.border.iter().filter(|cell| cell.is_white).count();
-            assert_eq!((white, template.border.len()), (36, 64));
+            let rings = [template.side, template.black].map(|side| 4 * (side - 1));
+            let border = [white, template.border.len() - white];
+            assert_eq!(border, rings);
             let outline: Vec<&Edge> = template.edges.iter().filter(|e| e.side.is_some()).collect();
-            assert_eq!(outline.len(), 32 * ALONG.len());
+            let least = 4 * template.black * ALONG.len();
+            assert_eq!(outline.len(), least);
             for edge in outline {
                 let [x, y] = edge.at;
                 let depth = x * edge.to_white[0] + y * edge.to_white[1];
                 assert!((depth - 1.0).abs() < 1e-12, "{edge:?}");
             }
-            assert!(template.edges.len() >= 100, "{}", template.edges.len());
+            assert!(template.edges.len() > least);
         }
     }
 
     #[test]
     fn without_blur_each_edge_is_where_it_is() {
         let blur = Blur::new([0.0; 2]);
-        for template in &templates()[..20] {
+        for template in templates() {
             for edge in &template.edges {
-                let area = blur.across(template, edge, 0.5, 0.5).area;
+                let area = blur.across(&template, edge, 0.5, 0.5).area;
                 assert!((area - 0.5).abs() < 1e-3, "{edge:?}: {area}");
             }
             for cell in &template.border {
-                let level = blur.level(template, cell);
+                let level = blur.level(&template, cell);
                 assert_eq!(level, f64::from(u8::from(cell.is_white)));
             }
         }
@@ -297,7 +300,7 @@ mod tests {
 
     #[test]
     fn softness_is_the_area_that_samples_give() {
-        let edge = &templates()[0].edges[0];
+        let edge = &templates().next().unwrap().edges[0];
         for (sigma, reach) in [(0.1, 0.5), (0.35, 0.5), (0.65, 0.5), (0.65, 0.3)] {
             let samples = (0..1000).map(|k| (k as f64 - 499.5) * reach / 500.0);
             let level = samples.map(|x| below(x / sigma));

@@ -13,7 +13,7 @@ const DOTS: f64 = 3.0;
 const TURN: f64 = 3.0;
 
 fn printed(board: &Board) -> Picture {
-    let svg = sheet::svg(board).unwrap();
+    let svg = sheet::svg(board);
     let tree = usvg::Tree::from_str(&svg, &usvg::Options::default()).unwrap();
     // CSS has 96 px an inch.
     let scale = (DOTS * 25.4 / 96.0) as f32;

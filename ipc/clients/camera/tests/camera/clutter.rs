@@ -1,5 +1,6 @@
 //! Other tags and textures beside ours.
 
+use markers::Family;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
@@ -13,7 +14,13 @@ use crate::drawing::{Errors, grey, open_scene, poses, truth};
 
 fn finder(scene: &Scene) -> Finder {
     let lens = Lens::pinhole(&scene.camera);
-    Finder::new(scene, &lens, &Targets::Centres(vec![0, 1, 2, 3])).unwrap()
+    Finder::new(
+        scene,
+        &lens,
+        Family::default(),
+        &Targets::Centres(vec![0, 1, 2, 3]),
+    )
+    .unwrap()
 }
 
 /// Ours, and others about them, two of which have numbers of ours.

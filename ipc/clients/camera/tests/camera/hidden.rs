@@ -1,5 +1,6 @@
 //! Tags that pass behind the spot on the lens and the grasped object.
 
+use markers::Family;
 use scene::{Pose, Scene};
 use vision::{Look, Renderer};
 use vpc_camera::config::Targets;
@@ -36,7 +37,7 @@ fn what_is_seen_is_exact_and_what_is_hidden_is_guessed() {
     let (mut seen, mut guessed) = (Errors::default(), Errors::default());
     let (mut free, mut missed, mut hidden, mut leaked) = (0, 0, 0, 0);
     for pass in 0..6 {
-        let mut finder = Finder::new(&scene, &lens, &targets).unwrap();
+        let mut finder = Finder::new(&scene, &lens, Family::default(), &targets).unwrap();
         for n in 0..150 {
             // Across the image, each pass another way.
             let (t, side) = (f64::from(n) / 149.0, f64::from(pass) - 2.5);

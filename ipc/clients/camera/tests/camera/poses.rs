@@ -1,5 +1,6 @@
 //! How exact features are over random poses.
 
+use markers::Family;
 use scene::Scene;
 use testkit::repeats;
 use vision::{Image, Look, Renderer};
@@ -22,7 +23,7 @@ fn measured(
     change: &dyn Fn(&Image) -> Image,
     frames: usize,
 ) -> (Errors, f64) {
-    let mut finder = Finder::new(scene, lens, &centres()).unwrap();
+    let mut finder = Finder::new(scene, lens, look.family, &centres()).unwrap();
     let mut renderer = Renderer::new(scene, look);
     let (mut errors, mut sequence) = (Errors::default(), 0);
     let poses = poses(scene, 11, 40.0).take(frames);
@@ -62,6 +63,10 @@ fn features_are_within_a_tenth_of_a_pixel_of_the_truth() {
         noise: 4.0,
         ..plain
     };
+    let of = |name: &str| Look {
+        family: name.parse().unwrap(),
+        ..plain
+    };
     let same = |image: &Image| image.clone();
     let across = |image: &Image| smeared(image, 3, false);
     let down = |image: &Image| smeared(image, 3, true);
@@ -83,6 +88,30 @@ fn features_are_within_a_tenth_of_a_pixel_of_the_truth() {
         ("moved by 3 px across", &pinhole, plain, &across, 0.1, 0.95),
         ("moved by 3 px down", &pinhole, plain, &down, 0.1, 0.95),
         ("distorted", &curved, plain, &bent, 0.1, 0.9),
+        (
+            "DICT_4X4_50",
+            &pinhole,
+            of("DICT_4X4_50"),
+            &same,
+            0.05,
+            0.95,
+        ),
+        (
+            "DICT_5X5_100",
+            &pinhole,
+            of("DICT_5X5_100"),
+            &same,
+            0.05,
+            0.95,
+        ),
+        (
+            "DICT_ARUCO_ORIGINAL",
+            &pinhole,
+            of("DICT_ARUCO_ORIGINAL"),
+            &same,
+            0.05,
+            0.95,
+        ),
     ] {
         let (errors, share) = measured(&scene, lens, &look, change, frames);
         println!(
@@ -121,7 +150,8 @@ fn the_corners_of_one_tag_are_features_in_the_patterns_order() {
     for pose in poses(&corners, 5, 20.0).take(40) {
         let image = renderer.render(&pose).clone();
         // A lone tag that jumps is somebody else's, until ours was lost for a while.
-        let mut finder = Finder::new(&corners, &lens, &Targets::Corners(2)).unwrap();
+        let mut finder =
+            Finder::new(&corners, &lens, Family::default(), &Targets::Corners(2)).unwrap();
         for k in 1..3 {
             let found = finder.find(&grey(&image), k).unwrap();
             if k == 2 && found.visible == 0b1111 {

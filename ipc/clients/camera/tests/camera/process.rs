@@ -38,6 +38,10 @@ fn a_wrong_configuration_is_refused_by_name() {
             ["--corners-of", "600"],
             "corners-of = 600; allowed: 0 to 586",
         ),
+        (
+            ["--family=DICT_APRILTAG_25h9", "--tags=0,1,2,35"],
+            "tags = 35; allowed: 0 to 34 of DICT_APRILTAG_25h9",
+        ),
         (["--stamp-offset-ms", "-5000"], "stamp-offset-ms = -5000"),
     ] {
         let ended = testkit::ended(camera().arg("--config").arg(&shipped).args(flags));
