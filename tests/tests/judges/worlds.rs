@@ -6,8 +6,8 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use serde::Deserialize;
-use testkit::python::{Environment, script};
-use testkit::{Place, Running, ended, is_long, program, root, tell};
+use testkit::python::{self, Environment, script};
+use testkit::{Place, Running, ended, is_long, not_run, program, root, tell};
 
 /// What the features of a run may miss, and on the mean, px: neither a half pixel nor a texture that
 /// is not quite in its place. PyBullet's renderer draws edges to the whole pixel.
@@ -100,5 +100,14 @@ fn the_panda_of_pybullet_arrives() {
 #[test]
 #[ignore = "installs MuJoCo: CI runs it in a line of its own"]
 fn the_fr3_of_mujoco_arrives() {
+    let load = "import ctypes; ctypes.CDLL('libEGL.so.1')";
+    if python::run(testkit::command("python3").args(["-c", load])).is_err() {
+        let packages = "libegl1 libgl1-mesa-dri";
+        not_run(
+            "mujoco",
+            format_args!("EGL missing (apt-get install {packages})"),
+        );
+        return;
+    }
     arrives("mujoco");
 }
