@@ -63,8 +63,10 @@ fn arrives(world: &str) {
         path
     };
     let tags = made("vpc-camera", &["tags"], "tags.svg");
-    let memory = ["build", "--trajectories", "50", "--seed", "1"];
-    let memory = made("vpc-memory", &memory, "tags.vpcmem");
+    // A small one: in a debug build fifty trajectories take minutes.
+    let memory = "build --trajectories 6 --iterations 20 --gpr-samples 40";
+    let words: Vec<&str> = memory.split(' ').collect();
+    let memory = made("vpc-memory", &words, "tags.vpcmem");
     let shipped = "controller/vpcd-tags.toml";
     let _daemon = running("vpcd", shipped, &[Path::new("--memory"), &memory], &place);
     let shipped = "ipc/clients/camera/vpc-camera.toml";
