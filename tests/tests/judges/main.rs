@@ -1,7 +1,9 @@
 //! Judges from outside: other libraries and a real robot say where the joints of an arm file put
-//! the camera, and how far its links are apart; pictures of real cameras where its tags are.
+//! the camera, and how far its links are apart; pictures of real cameras where its tags are; other
+//! simulators whether their arms arrive.
 
 mod pictures;
+mod worlds;
 
 use std::collections::BTreeMap;
 use std::fs;
