@@ -1,13 +1,16 @@
-//! Pictures of real cameras: other detectors and published corners say where the tags are.
+//! Pictures: other detectors and published corners say where the tags are.
 //!
-//! They are not here: `VPC_REAL` names a folder with `rbt/`, the pictures of `rbt/sequence`, and
+//! Those of real cameras are not here: `VPC_REAL` names a folder with `rbt/`, the pictures of `rbt/sequence`, and
 //! `tags/`, the files of `AprilTag`, both of github.com/lagadic/visp-images.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use markers::Family;
+use scene::{Pose, Scene};
 use serde::Deserialize;
 use testkit::{Place, root, tell};
+use vision::{Look, Renderer, Tag};
 
 use crate::real;
 
@@ -80,6 +83,69 @@ fn a_moving_cameras_tags_are_found_as_often_as_by_apriltag_3_and_as_exactly() {
         );
         assert!(ours.summary.rms < other.summary.rms, "{}", other.detector);
     }
+}
+
+#[test]
+#[ignore = "builds an example: CI runs it in a line of its own"]
+fn tags_of_every_family_are_found_as_often_as_by_opencv_and_as_exactly() {
+    for name in [
+        "DICT_4X4_50",
+        "DICT_5X5_100",
+        "DICT_6X6_250",
+        "DICT_7X7_1000",
+        "DICT_ARUCO_ORIGINAL",
+        "DICT_APRILTAG_16h5",
+        "DICT_APRILTAG_25h9",
+        "DICT_APRILTAG_36h11",
+    ] {
+        let place = Place::new();
+        let count = rendered(name.parse().unwrap(), &place.path("."));
+        let all = judged(&place.path("."), "0,1,2,3,4,5", &["--family", name]);
+        let ours = &all[0].summary;
+        for found in &all {
+            let Summary {
+                whole,
+                rms,
+                most,
+                ms,
+                beside,
+            } = &found.summary;
+            tell(format!(
+                "{name} by {}: all tags in {whole} of {count} frames, RMS {rms:.3} px, {most:.3} at most, {ms:.1?} ms, beside \
+                 ours {beside:.3?} px",
+                found.detector
+            ));
+            assert!(ours.whole >= *whole, "{name}: {}", found.detector);
+            assert!(ours.rms <= *rms, "{name}: {}", found.detector);
+            let [u, v] = beside.map(f64::abs);
+            assert!(u.max(v) < 0.05, "{name}: {}", found.detector);
+        }
+        assert!(ours.whole > count / 2, "{name}");
+        assert!(ours.rms < 0.04 && ours.most < 0.22, "{name}");
+    }
+}
+
+/// Draws a board of six tags that passes before a camera; the number of pictures.
+fn rendered(family: Family, folder: &Path) -> usize {
+    const FRAMES: usize = 60;
+    let mut scene = Scene::parse(scene::TAGS_ROBOT, "tags").unwrap();
+    scene.occlusions.clear();
+    let look = Look {
+        family,
+        ..Look::default()
+    };
+    let mut renderer = Renderer::with_tags(&scene, &look, &Tag::board(3, 2, 0.024, 0.045));
+    for n in 0..FRAMES {
+        let t = n as f64 / FRAMES as f64;
+        let image = renderer.render(&Pose {
+            translation: [0.06 * (t - 0.5), 0.03 * (0.5 - t), 0.3 + 0.15 * t],
+            rotation: [0.3 * (t - 0.5), 0.4 * (0.5 - t), 0.8 * t],
+        });
+        let mut bytes = format!("P5\n{} {}\n255\n", image.width(), image.height()).into_bytes();
+        bytes.extend_from_slice(image.pixels());
+        std::fs::write(folder.join(format!("{n:03}.pgm")), bytes).unwrap();
+    }
+    FRAMES
 }
 
 /// Centres by published corners: a line with the tag's name, whose end is its number, and four
