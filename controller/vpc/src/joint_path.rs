@@ -27,6 +27,7 @@ use ::arm::{Arm, JOINTS, Joints, Pose, Slack};
 use nalgebra::{Point3, Rotation3, Translation3, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::obstacle::Obstacle;
 use crate::prediction::InitialState;
 use crate::random::uniform;
 use crate::task::Task;
@@ -79,10 +80,10 @@ const NEAR: f64 = 0.6;
 const ENDLESS: [f64; 2] = [-PI, PI];
 
 /// What a Newton step, a look at a posture, and a comparison with one cost, ns.
-const NEWTON_NS: u64 = 2000;
-const LOOK_NS: u64 = 2500;
-const PAIR_NS: u64 = 25;
-const NEAREST_NS: u64 = 12;
+const NEWTON_NS: u64 = 1000;
+const LOOK_NS: u64 = 1300;
+const PAIR_NS: u64 = 12;
+const NEAREST_NS: u64 = 6;
 
 /// Postures to the goal, one after the other. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -184,6 +185,8 @@ pub(crate) struct Planner<'a> {
     start: Joints,
     is_elbow_held: bool,
     least_px: f64,
+    /// Work of a look at a posture, ns.
+    look_ns: u64,
     /// The number that the next one to be drawn follows from.
     number: u64,
     /// Work that is left, ns.
@@ -210,7 +213,12 @@ impl<'a> Planner<'a> {
             Translation3::from(task.goal_pose.translation),
             Rotation3::from_matrix_unchecked(motion::rotation(task.goal_pose.rotation)),
         );
+        let clearances: u32 = task.obstacles().map(Obstacle::price_ns).sum();
+        let look_ns = LOOK_NS
+            + PAIR_NS * arm.shapes.pairs.len() as u64
+            + task.pattern.len() as u64 * u64::from(clearances);
         Some(Self {
+            look_ns,
             task,
             arm,
             pattern,
@@ -295,13 +303,12 @@ impl<'a> Planner<'a> {
         }
         let index = self.between([0.0, tree.count as f64]) as usize;
         let (q, _) = tree.get(index)?;
-        let count = self.arm.chain.count();
-        let moves = |k: usize| k < count && (k != ELBOW || !self.is_elbow_held);
-        let moves: [bool; JOINTS] = core::array::from_fn(moves);
-        let near = Joints::from_fn(|k, _| match moves.get(k) {
-            Some(true) => q[k] + self.between([-NEAR, NEAR]),
-            _ => q[k],
-        });
+        let mut near = q;
+        for (k, joint) in near.iter_mut().enumerate() {
+            if self.moves(k) {
+                *joint += self.between([-NEAR, NEAR]);
+            }
+        }
         if kind < 2.0 {
             let camera = self.view();
             return self.posture(near, &camera);
@@ -329,20 +336,19 @@ impl<'a> Planner<'a> {
     }
 
     fn anywhere(&mut self) -> Joints {
-        let mut q = self.start;
-        for k in 0..self.arm.chain.count() {
-            if k != ELBOW || !self.is_elbow_held {
-                let range = self
-                    .arm
-                    .limits
-                    .0
-                    .get(k)
-                    .map_or(ENDLESS, |joint| joint.range);
-                let is_finite = range.iter().all(|end| end.is_finite());
-                q[k] = self.between(if is_finite { range } else { ENDLESS });
+        let (mut q, arm) = (self.start, self.arm);
+        for (k, (joint, limits)) in q.iter_mut().zip(&arm.limits.0).enumerate() {
+            if self.moves(k) {
+                let is_finite = limits.range.iter().all(|end| end.is_finite());
+                *joint = self.between(if is_finite { limits.range } else { ENDLESS });
             }
         }
         q
+    }
+
+    /// Whether a search moves the joint of this index.
+    fn moves(&self, joint: usize) -> bool {
+        joint < self.arm.chain.count() && (joint != ELBOW || !self.is_elbow_held)
     }
 
     fn posture(&mut self, begin: Joints, camera: &Pose) -> Option<Joints> {
@@ -354,8 +360,8 @@ impl<'a> Planner<'a> {
 
     /// What a posture leaves; `None` where the camera does not see the front of the pattern.
     fn condition(&mut self, q: &Joints) -> Option<Condition> {
-        self.spend(LOOK_NS + PAIR_NS * self.arm.shapes.pairs.len() as u64);
         let task = self.task;
+        self.spend(self.look_ns);
         let camera = self.arm.chain.pose(q).inverse() * self.pattern;
         let (mut points, mut clear_px) = (Points::new(), f64::INFINITY);
         for x in &task.pattern {
