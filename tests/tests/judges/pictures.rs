@@ -7,9 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Deserialize;
-use testkit::{Place, root, tell};
-
-use crate::real;
+use testkit::{Place, real, root, tell};
 
 /// Centres of tags by number, px.
 type Centres = BTreeMap<u32, [f64; 2]>;
