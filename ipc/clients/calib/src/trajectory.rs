@@ -2,7 +2,7 @@
 
 use vision_calibration_core::Iso3;
 
-use crate::robot_poses::flange;
+use crate::pose_file::flange;
 
 /// Joints of the arm.
 const JOINTS: usize = 7;

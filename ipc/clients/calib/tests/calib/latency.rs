@@ -62,7 +62,7 @@ fn record(chance: &mut Chance, wiggle: &Wiggle, truth: &Truth) -> (Vec<Frame>, T
     for k in 0..(wiggle.seconds * 100.0) as u32 {
         arm.push(wiggle.sample(0.01 * f64::from(k)));
     }
-    let rest = vpc_calib::robot_poses::flange(wiggle.sample(0.0).q);
+    let rest = vpc_calib::pose_file::flange(wiggle.sample(0.0).q);
     let board = rest * mount() * Iso3::new(Vec3::new(0.0, 0.0, 0.38), Vec3::new(0.1, 0.2, 0.3));
     let mut frames = Vec::new();
     let mut time = truth.offset.abs() + 0.05;
@@ -70,7 +70,7 @@ fn record(chance: &mut Chance, wiggle: &Wiggle, truth: &Truth) -> (Vec<Frame>, T
         // Each row has its time: once with that of the middle, then with that of each corner.
         let exposed = |row: f64| {
             let q = wiggle.sample(time + truth.offset + row * truth.readout).q;
-            (vpc_calib::robot_poses::flange(q) * mount()).inverse() * board
+            (vpc_calib::pose_file::flange(q) * mount()).inverse() * board
         };
         let mut view = chance.view(&CAMERA, &Board::default(), &exposed(0.0), 0.0);
         let target = Target::from(&Board::default());
