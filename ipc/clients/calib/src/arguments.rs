@@ -152,11 +152,18 @@ pub struct LatencyArguments {
     #[arg(long, value_name = "S", default_value_t = 20.0)]
     pub seconds: f64,
     /// Calibration of the camera, as intrinsics writes it.
-    #[arg(long, value_name = "FILE")]
-    pub camera: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "robot_poses")]
+    pub camera: Option<PathBuf>,
     /// The camera on the flange, as hand-eye writes it.
-    #[arg(long, value_name = "FILE")]
-    pub hand_eye: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "robot_poses")]
+    pub hand_eye: Option<PathBuf>,
+    /// Instead of images: poses of the flange in the base (CSV).
+    #[arg(long, value_name = "FILE", requires = "board_poses",
+        conflicts_with_all = ["domain", "config", "seconds", "camera", "hand_eye", "board", "scene"])]
+    pub robot_poses: Option<PathBuf>,
+    /// Poses of the board in the camera (CSV), at its stamps.
+    #[arg(long, value_name = "FILE", requires = "robot_poses")]
+    pub board_poses: Option<PathBuf>,
     #[command(flatten)]
     pub target: TargetArguments,
 }
