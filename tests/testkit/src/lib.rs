@@ -61,6 +61,17 @@ pub fn not_run(what: &str, why: impl Display) {
     tell(line);
 }
 
+/// A folder of `VPC_REAL`, recordings of real cameras and robots; `None`, after [`not_run`], where it
+/// is not here.
+pub fn real(what: &str, folder: &str) -> Option<PathBuf> {
+    let place = std::env::var_os("VPC_REAL").map(|place| Path::new(&place).join(folder));
+    let place = place.filter(|place| place.is_dir());
+    if place.is_none() {
+        not_run(what, format_args!("VPC_REAL names no folder with {folder}"));
+    }
+    place
+}
+
 /// Returns whether this process is root; calls [`not_run`] if not.
 pub fn is_root(what: &str) -> bool {
     let is_root = rustix::process::geteuid().is_root();

@@ -8,7 +8,7 @@ mod worlds;
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Stdio;
 
 use arm::{Arm, Chain, JOINTS, Jacobian, Joints, Other, Pose};
@@ -19,7 +19,7 @@ use scene::Scene;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use testkit::python::Environment;
-use testkit::{Place, not_run, root, tell};
+use testkit::{Place, real, root, tell};
 
 /// Postures of each arm.
 const POSTURES: usize = 300;
@@ -266,16 +266,6 @@ struct Reading {
     joint_pose: [f64; 7],
     #[serde(rename = "O_T_EE")]
     base_from_hand: [f64; 16],
-}
-
-/// A folder of `VPC_REAL`; `None`, after [`not_run`], where it is not here.
-fn real(what: &str, folder: &str) -> Option<PathBuf> {
-    let place = std::env::var_os("VPC_REAL").map(|place| Path::new(&place).join(folder));
-    let place = place.filter(|place| place.is_dir());
-    if place.is_none() {
-        not_run(what, format_args!("VPC_REAL names no folder with {folder}"));
-    }
-    place
 }
 
 /// Their author states no licence, so that they are not here: `VPC_REAL` names a folder with

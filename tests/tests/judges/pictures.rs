@@ -9,10 +9,8 @@ use std::path::Path;
 use markers::Family;
 use scene::{Pose, Scene};
 use serde::Deserialize;
-use testkit::{Place, root, tell};
+use testkit::{Place, real, root, tell};
 use vision::{Look, Renderer, Tag};
-
-use crate::real;
 
 /// Centres of tags by number, px.
 type Centres = BTreeMap<u32, [f64; 2]>;

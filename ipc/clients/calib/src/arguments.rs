@@ -8,6 +8,7 @@ use scene::Scene;
 use tag_board::Board;
 use toml_schema::FileError;
 
+use crate::hand_eye::Mounting;
 use crate::target::Target;
 
 /// Calibrates a camera on a robot's wrist.
@@ -31,7 +32,7 @@ pub enum Command {
     Board(BoardArguments),
     /// Focal lengths, principal point and distortion, from views of a board
     Intrinsics(IntrinsicsArguments),
-    /// The camera on the flange, from poses of the robot and views of a board that stands still
+    /// Where the camera is mounted, from poses of the robot and views of a board
     HandEye(HandEyeArguments),
     /// How far the stamps of images are off, from a camera that is wiggled
     Latency(LatencyArguments),
@@ -116,16 +117,30 @@ pub struct IntrinsicsArguments {
 pub struct HandEyeArguments {
     #[command(flatten)]
     pub images: ImageArguments,
-    /// Poses of the robot (CSV); default: poses.csv in the folder of the images.
-    #[arg(long, value_name = "FILE")]
+    /// Poses of the robot (CSV); default: poses.csv in the folder of the images. Without --images: with
+    /// the board's poses in the camera.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["domain", "config", "views", "save"])]
     pub poses: Option<PathBuf>,
+    /// The camera stands still, the flange carries the board.
+    #[arg(long)]
+    pub eye_to_hand: bool,
     /// Calibration of the camera, as intrinsics writes it.
-    #[arg(long, value_name = "FILE")]
-    pub camera: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "poses")]
+    pub camera: Option<PathBuf>,
     #[command(flatten)]
     pub target: TargetArguments,
     #[command(flatten)]
     pub output: OutputArguments,
+}
+
+impl HandEyeArguments {
+    /// What the flange carries.
+    pub fn mounting(&self) -> Mounting {
+        match self.eye_to_hand {
+            true => Mounting::EyeToHand,
+            false => Mounting::EyeInHand,
+        }
+    }
 }
 
 #[derive(Args, Debug)]
@@ -137,11 +152,18 @@ pub struct LatencyArguments {
     #[arg(long, value_name = "S", default_value_t = 20.0)]
     pub seconds: f64,
     /// Calibration of the camera, as intrinsics writes it.
-    #[arg(long, value_name = "FILE")]
-    pub camera: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "robot_poses")]
+    pub camera: Option<PathBuf>,
     /// The camera on the flange, as hand-eye writes it.
-    #[arg(long, value_name = "FILE")]
-    pub hand_eye: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "robot_poses")]
+    pub hand_eye: Option<PathBuf>,
+    /// Instead of images: poses of the flange in the base (CSV).
+    #[arg(long, value_name = "FILE", requires = "board_poses",
+        conflicts_with_all = ["domain", "config", "seconds", "camera", "hand_eye", "board", "scene"])]
+    pub robot_poses: Option<PathBuf>,
+    /// Poses of the board in the camera (CSV), at its stamps.
+    #[arg(long, value_name = "FILE", requires = "robot_poses")]
+    pub board_poses: Option<PathBuf>,
     #[command(flatten)]
     pub target: TargetArguments,
 }

@@ -7,6 +7,7 @@
 
 mod fit;
 mod peak;
+mod poses;
 
 use std::fmt;
 
@@ -14,6 +15,7 @@ use vision_calibration_core::Iso3;
 
 use self::fit::Fit;
 use self::peak::{OTHER, Peak, WINDOW};
+pub use self::poses::estimate_poses;
 use crate::camera::Camera;
 use crate::pose;
 use crate::target::Target;
@@ -48,16 +50,26 @@ pub struct Latency {
     pub offset: f64,
     /// Its standard deviation, s.
     pub sigma: f64,
-    /// From the first row's exposure to the last one's, s, with its standard deviation.
-    pub readout: [f64; 2],
+    /// From the first row's exposure to the last one's, s, with its standard deviation; `None`
+    /// without images.
+    pub readout: Option<[f64; 2]>,
     /// Correlation of seen and measured motion.
     pub correlation: f64,
     /// The highest other peak, of this one, 0 if there is none.
     pub other: f64,
-    /// What corners miss by, RMS, px.
-    pub rms_px: f64,
+    /// What is left.
+    pub residual: Residual,
     /// Frames that were used.
     pub frames: usize,
+}
+
+/// What corners or poses miss by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Residual {
+    /// Corners, RMS, px.
+    Corners(f64),
+    /// Poses, along and about an axis, one standard deviation: m, rad.
+    Poses([f64; 2]),
 }
 
 /// There is no result.
@@ -111,7 +123,7 @@ pub fn estimate(
     if seen.len() < FEWEST {
         return Err(LatencyError::TooFew { found: seen.len() });
     }
-    let peak = Peak::find(&seen, arm, setup);
+    let peak = Peak::find(|shift| peak::correlation(&seen, arm, setup, shift));
     if peak.height < 0.5 {
         return Err(LatencyError::Unrelated(peak.height));
     }
@@ -120,10 +132,10 @@ pub fn estimate(
     Ok(Latency {
         offset: fit.state.shift,
         sigma: fit.sigma[0],
-        readout: [fit.state.readout, fit.sigma[1]],
+        readout: Some([fit.state.readout, fit.sigma[1]]),
         correlation: peak.height,
         other: peak.other,
-        rms_px: fit.rms_px,
+        residual: Residual::Corners(fit.rms_px),
         frames: seen.len(),
     })
 }
@@ -148,12 +160,13 @@ impl Latency {
                 1e3 * SIGMA
             )
         });
-        verdict.refuse_if(self.rms_px > RMS_PX, || {
-            format!(
-                "tags miss their places by {:.1} px RMS, {RMS_PX} px at most; does the board stand still, are stamps regular?",
-                self.rms_px
-            )
-        });
+        if let Residual::Corners(rms_px) = self.residual {
+            verdict.refuse_if(rms_px > RMS_PX, || {
+                format!(
+                    "tags miss their places by {rms_px:.1} px RMS, {RMS_PX} px at most; does the board stand still, are stamps regular?"
+                )
+            });
+        }
         let edge = WINDOW - OTHER;
         verdict.refuse_if(self.offset.abs() > edge, || {
             format!(
@@ -179,16 +192,23 @@ impl fmt::Display for Latency {
                 "later"
             }
         )?;
-        writeln!(
+        if let Some([readout, sigma]) = self.readout {
+            let [readout, sigma] = [readout, sigma].map(|s| 1e3 * s);
+            writeln!(f, "rolling shutter: readout {readout:.1} ms +- {sigma:.1}")?;
+        }
+        write!(
             f,
-            "rolling shutter: readout {:.1} ms +- {:.1}",
-            1e3 * self.readout[0],
-            1e3 * self.readout[1]
+            "{} images; correlation {:.4}; ",
+            self.frames, self.correlation
         )?;
-        writeln!(
-            f,
-            "{} images; correlation {:.4}; residual {:.2} px RMS",
-            self.frames, self.correlation, self.rms_px
-        )
+        match self.residual {
+            Residual::Corners(rms) => writeln!(f, "residual {rms:.2} px RMS"),
+            Residual::Poses([moved, turned]) => writeln!(
+                f,
+                "poses miss by {:.2} mm, {:.3} deg along and about each axis",
+                1e3 * moved,
+                turned.to_degrees()
+            ),
+        }
     }
 }

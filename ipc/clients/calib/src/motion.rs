@@ -3,8 +3,8 @@
 
 use std::fmt;
 
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use vision_calibration_core::{Iso3, Vec3};
-use vision_calibration_linear::handeye::estimate_handeye_dlt;
 
 /// A rotation counts from here on, deg.
 pub const ROTATION_DEG: f64 = 10.0;
@@ -108,10 +108,42 @@ pub fn check(flanges: &[Iso3], targets: &[Iso3]) -> Result<(), MotionError> {
     }
 }
 
+/// The camera in the flange frame, in closed form: its turn carries the axes of the camera's turns to
+/// those of the robot's, then its place is linear. `None` where turns do not tell.
+///
+/// Axes count by the sines of their angles, whose sense is known also near half a turn.
+pub fn mounting(flanges: &[Iso3], targets: &[Iso3]) -> Option<Iso3> {
+    let motion = |(i, j): (usize, usize)| {
+        let robot = flanges[i].inverse() * flanges[j];
+        (robot, targets[i] * targets[j].inverse())
+    };
+    let motions: Vec<(Iso3, Iso3)> = pairs(flanges.len()).map(motion).collect();
+    let own = |v: Vec3| Vector3::new(v.x, v.y, v.z);
+    let sine = |pose: &Iso3| own(pose.rotation.imag() * (2.0 * pose.rotation.w));
+    let axes = motions.iter().map(|(a, b)| sine(a) * sine(b).transpose());
+    let svd = axes.sum::<Matrix3<f64>>().svd(true, true);
+    let (left, right) = (svd.u?, svd.v_t?);
+    let mirror = Vector3::new(1.0, 1.0, (left * right).determinant().signum());
+    let turn = left * Matrix3::from_diagonal(&mirror) * right;
+    let (mut normal, mut sum) = (Matrix3::zeros(), Vector3::zeros());
+    for (robot, camera) in &motions {
+        let turned = |k: usize| own(robot.rotation * Vec3::ith(k, 1.0) - Vec3::ith(k, 1.0));
+        let rows = Matrix3::from_columns(&[turned(0), turned(1), turned(2)]);
+        let shift = turn * own(camera.translation.vector) - own(robot.translation.vector);
+        normal += rows.transpose() * rows;
+        sum += rows.transpose() * shift;
+    }
+    let place = normal.cholesky()?.solve(&sum);
+    let turn = Rotation3::from_matrix_unchecked(turn);
+    let turn = UnitQuaternion::from_rotation_matrix(&turn).scaled_axis();
+    let is_finite = place.iter().chain(turn.iter()).all(|x| x.is_finite());
+    let three = |v: Vector3<f64>| Vec3::new(v.x, v.y, v.z);
+    is_finite.then(|| Iso3::new(three(place), three(turn)))
+}
+
 /// The medians over all motions, under the mounting that fits best.
 fn disagreement(flanges: &[Iso3], targets: &[Iso3]) -> Disagreement {
-    let cameras: Vec<_> = targets.iter().map(Iso3::inverse).collect();
-    let Ok(mount) = estimate_handeye_dlt(flanges, &cameras, ROTATION_DEG) else {
+    let Some(mount) = mounting(flanges, targets) else {
         return Disagreement::NONE;
     };
     // The board in the base, as each pose has it.
@@ -164,7 +196,7 @@ fn readings(flanges: &[Iso3]) -> Vec<(&'static str, Vec<Iso3>)> {
     };
     vec![
         (
-            "each pose is inverted (the base in the flange)",
+            "each pose is inverted (the base in the flange, or --eye-to-hand)",
             each(&|pose| pose.inverse()),
         ),
         ("quaternions are written w first", each(&w_first)),
@@ -234,6 +266,32 @@ mod tests {
             .map(|flange| (flange * mount).inverse() * board);
         let targets = targets.collect();
         (flanges, targets)
+    }
+
+    #[test]
+    fn a_mounting_is_found_from_turns_beyond_a_third_of_a_circle() {
+        let turns = [
+            [0.1, 0.2, -2.9],
+            [3.0, 0.3, 0.0],
+            [0.0, 0.4, 2.8],
+            [0.3, -3.0, 0.2],
+            [1.0, 2.0, 2.0],
+        ];
+        let flange =
+            |turn: [f64; 3]| Iso3::new(Vec3::new(0.4, turn[0] / 9.0, 0.5), Vec3::from(turn));
+        let flanges = turns.map(flange).to_vec();
+        let mount = Iso3::new(Vec3::new(0.05, -0.05, 0.04), Vec3::new(0.1, 0.0, 3.1));
+        let target = Iso3::new(Vec3::new(0.5, 0.0, 0.0), Vec3::new(3.1, 0.1, 0.0));
+        let seen = flanges
+            .iter()
+            .map(|flange| (flange * mount).inverse() * target);
+        let seen: Vec<Iso3> = seen.collect();
+        let off = mount.inverse() * mounting(&flanges, &seen).unwrap();
+        assert!(
+            off.translation.vector.norm() < 1e-9 && off.rotation.angle() < 1e-6,
+            "{off}"
+        );
+        assert_eq!(mounting(&flanges[..1], &seen[..1]), None);
     }
 
     #[test]

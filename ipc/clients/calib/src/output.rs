@@ -7,7 +7,7 @@ use std::path::Path;
 use vision_calibration_core::Iso3;
 
 use crate::camera::Camera;
-use crate::hand_eye::HandEye;
+use crate::hand_eye::{HandEye, Mounting};
 use crate::intrinsics::Intrinsics;
 
 /// A file cannot be written.
@@ -125,7 +125,7 @@ pub fn scene_keys(camera: &Camera) -> String {
     )
 }
 
-/// A hand-eye calibration for vpc-panda.
+/// A hand-eye calibration: for vpc-panda, where the camera is on the flange.
 pub fn hand_eye(result: &HandEye) -> String {
     let count = result.pairs.len();
     let Iso3 {
@@ -134,11 +134,17 @@ pub fn hand_eye(result: &HandEye) -> String {
     } = result.camera;
     let numbers = |vector: [f64; 3]| vector.map(|x| format!("{x:.6}")).join(", ");
     let turn = rotation.scaled_axis().map(f64::to_degrees);
+    let [frame, _] = result.mounting.frames();
+    // What reads files of cameras on wrists refuses this key.
+    let other = match result.mounting {
+        Mounting::EyeInHand => "",
+        Mounting::EyeToHand => "frame = \"base\"\n",
+    };
     format!(
-        "# Written by vpc-calib hand-eye: {count} poses, reprojection error {:.3} px RMS.\n\
-         # The camera (x right, y down, z forward) in the flange's frame.\n\
+        "# Written by vpc-calib hand-eye: {count} poses, the board seen to {:.2} mm RMS.\n\
+         # The camera (x right, y down, z forward) in the {frame}'s frame.\n{other}\
          translation = [{}]    # m\nrotation_deg = [{}]    # rotation vector, deg\n",
-        result.rms_px,
+        1e3 * result.scatter,
         numbers(translation.vector.into()),
         numbers(turn.into())
     )

@@ -2,12 +2,14 @@
 
 use vision_calibration_core::Iso3;
 
-use crate::robot_poses::flange;
+use crate::pose_file::flange;
 
 /// Joints of the arm.
 const JOINTS: usize = 7;
 /// Two samples further apart have lost what was between them, s.
 const GAP: f64 = 0.05;
+/// The same, of poses that were recorded by others.
+const TRACK_GAP: f64 = 0.15;
 
 /// Measured joints at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,9 +72,52 @@ impl Trajectory {
     }
 }
 
+/// Poses in the order of time.
+#[derive(Clone, Debug, Default)]
+pub struct Track(Vec<(f64, Iso3)>);
+
+impl From<Vec<(f64, Iso3)>> for Track {
+    /// Poses at instants, s, each later than the one before.
+    fn from(poses: Vec<(f64, Iso3)>) -> Self {
+        Self(poses)
+    }
+}
+
+impl Track {
+    /// The pose at an instant, on the straight line between its neighbours; `None` outside, and where
+    /// poses are missing.
+    pub fn at(&self, time: f64) -> Option<Iso3> {
+        let after = self.0.partition_point(|(known, _)| *known <= time);
+        let (before, from) = self.0.get(after.checked_sub(1)?)?;
+        let Some((next, to)) = self.0.get(after) else {
+            return (time == *before).then_some(*from);
+        };
+        let step = next - before;
+        if step > TRACK_GAP {
+            return None;
+        }
+        from.try_lerp_slerp(to, (time - before) / step, 1e-9)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn between_poses_the_motion_is_straight_and_in_a_gap_it_is_not_known() {
+        let pose = |k: f64| {
+            let axes = vision_calibration_core::Vec3::new(0.0, 0.0, k);
+            Iso3::new(axes, axes)
+        };
+        let track = Track::from(vec![(1.0, pose(0.0)), (1.1, pose(0.2)), (1.5, pose(0.3))]);
+        let apart = pose(0.05).inverse() * track.at(1.025).unwrap();
+        assert!(apart.translation.vector.norm() < 1e-9 && apart.rotation.angle() < 1e-9);
+        assert_eq!(track.at(1.5), Some(pose(0.3)));
+        for time in [0.9, 1.3, 1.6] {
+            assert!(track.at(time).is_none(), "{time}");
+        }
+    }
 
     fn sample(time: f64) -> Sample {
         let q = |k: usize| (0.3 + 0.1 * k as f64) * (2.0 * time + k as f64).sin();

@@ -15,13 +15,41 @@ use crate::arguments::LatencyArguments;
 use crate::camera::Camera;
 use crate::command::Failure;
 use crate::detector::Detector;
-use crate::latency::{self, Frame, Setup};
+use crate::latency::{self, Frame, Latency, Setup};
 use crate::live::{self, News};
-use crate::trajectory::Trajectory;
+use crate::pose_file;
+use crate::trajectory::{Track, Trajectory};
 
 pub fn run(arguments: &LatencyArguments, stop: &AtomicBool) -> Result<bool, Failure> {
-    let lens = lens::read(&arguments.camera)?;
-    let mount = mount(&arguments.hand_eye)?;
+    let result = match (&arguments.robot_poses, &arguments.board_poses) {
+        (Some(robot), Some(board)) => {
+            let arm = Track::from(pose_file::read_timed(robot)?);
+            latency::estimate_poses(&pose_file::read_timed(board)?, &arm)
+                .map_err(Failure::not_enough)?
+        }
+        _ => of_images(arguments, stop)?,
+    };
+    let verdict = result.verdict();
+    print!("{result}");
+    println!("{verdict}");
+    if verdict.is_good() {
+        println!(
+            "stamp_offset_ms = {:.2}    # of vpc-camera.toml",
+            1e3 * result.offset
+        );
+    }
+    Ok(verdict.is_good())
+}
+
+fn of_images(arguments: &LatencyArguments, stop: &AtomicBool) -> Result<Latency, Failure> {
+    let (Some(camera), Some(hand_eye)) = (&arguments.camera, &arguments.hand_eye) else {
+        return Err(Failure::new(
+            Exit::Usage,
+            "--camera and --hand-eye are missing",
+        ));
+    };
+    let lens = lens::read(camera)?;
+    let mount = mount(hand_eye)?;
     let (target, _) = arguments.target.read()?;
     if !(1.0..=600.0).contains(&arguments.seconds) {
         let error = FileError::value("command line", "--seconds", arguments.seconds, "1 to 600 s");
@@ -65,17 +93,7 @@ pub fn run(arguments: &LatencyArguments, stop: &AtomicBool) -> Result<bool, Fail
         mount: &mount,
         target: &target,
     };
-    let result = latency::estimate(&frames, &arm, &setup).map_err(Failure::not_enough)?;
-    let verdict = result.verdict();
-    print!("{result}");
-    println!("{verdict}");
-    if verdict.is_good() {
-        println!(
-            "stamp_offset_ms = {:.2}    # of vpc-camera.toml",
-            1e3 * result.offset
-        );
-    }
-    Ok(verdict.is_good())
+    latency::estimate(&frames, &arm, &setup).map_err(Failure::not_enough)
 }
 
 /// The tags of an image, straightened.

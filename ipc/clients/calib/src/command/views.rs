@@ -12,7 +12,7 @@ use crate::command::Failure;
 use crate::detector::Detector;
 use crate::live::{self, News};
 use crate::picture::{self, Picture};
-use crate::robot_poses;
+use crate::pose_file;
 use crate::still::{LATE, Still};
 use crate::target::Target;
 use crate::view::View;
@@ -124,7 +124,7 @@ impl Taker {
     fn arm(&mut self, q: [f64; 7]) {
         self.joints = Some(q);
         if let Some(still) = &mut self.still {
-            still.arm(&robot_poses::flange(q));
+            still.arm(&pose_file::flange(q));
         }
     }
 
@@ -166,7 +166,7 @@ impl Folder {
         }
         Ok(Self {
             path: path.map(Path::to_owned),
-            poses: robot_poses::HEADER.to_owned(),
+            poses: pose_file::HEADER.to_owned(),
         })
     }
 
@@ -178,7 +178,7 @@ impl Folder {
             .write(&folder.join(name))
             .map_err(|error| Failure::new(Exit::CannotCreate, error))?;
         if let Some(q) = q {
-            self.poses += &robot_poses::line(name, q);
+            self.poses += &pose_file::line(name, q);
             let path = folder.join("poses.csv");
             std::fs::write(&path, &self.poses).map_err(|error| {
                 Failure::new(Exit::CannotCreate, format!("{}: {error}", path.display()))

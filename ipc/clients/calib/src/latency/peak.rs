@@ -28,45 +28,14 @@ pub(super) struct Peak {
 }
 
 impl Peak {
-    /// Tries every shift.
-    pub fn find(seen: &[(Frame, Iso3)], arm: &Trajectory, setup: &Setup) -> Self {
-        let neighbours = || {
-            seen.windows(2).filter_map(|pair| match pair {
-                [(a, from), (b, to)] if b.time - a.time < FRAME => {
-                    let far = from.translation.vector.norm();
-                    Some((
-                        [a.time, b.time],
-                        velocity(&(from * to.inverse()), b.time - a.time, far),
-                        far,
-                    ))
-                }
-                _ => None,
-            })
-        };
-        let correlation = |shift: f64| {
-            let (mut product, mut squares, mut count) = (0.0, [0.0; 2], 0);
-            for ([from, to], seen, far) in neighbours() {
-                let ends = arm.flange(from + shift).zip(arm.flange(to + shift));
-                let Some((start, end)) = ends else { continue };
-                let moved = (start * setup.mount).inverse() * end * setup.mount;
-                let measured = velocity(&moved, to - from, far);
-                product += seen.dot(&measured);
-                squares = [
-                    squares[0] + seen.norm_squared(),
-                    squares[1] + measured.norm_squared(),
-                ];
-                count += 1;
-            }
-            let is_enough = count >= COMMON && squares[0] * squares[1] > 0.0;
-            if is_enough {
-                product / (squares[0] * squares[1]).sqrt()
-            } else {
-                0.0
-            }
-        };
+    /// Tries every shift; `None` where too little is known to tell.
+    pub fn find(correlation: impl Fn(f64) -> Option<f64>) -> Self {
         let count = (2.0 * WINDOW / STEP).round() as usize;
         let shifts: Vec<f64> = (0..=count).map(|k| k as f64 * STEP - WINDOW).collect();
-        let heights: Vec<f64> = shifts.iter().map(|shift| correlation(*shift)).collect();
+        let heights: Vec<f64> = shifts
+            .iter()
+            .map(|shift| correlation(*shift).unwrap_or(0.0))
+            .collect();
         let highest = (0..=count).max_by(|a, b| heights[*a].total_cmp(&heights[*b]));
         let highest = highest.unwrap_or(0);
         let is_peak = |k: &usize| {
@@ -98,6 +67,35 @@ impl Peak {
             other: other / at.max(1e-9),
         }
     }
+}
+
+/// Of the velocities that images show and that the arm has.
+pub(super) fn correlation(
+    seen: &[(Frame, Iso3)],
+    arm: &Trajectory,
+    setup: &Setup,
+    shift: f64,
+) -> Option<f64> {
+    let (mut product, mut squares, mut count) = (0.0, [0.0; 2], 0);
+    for pair in seen.windows(2) {
+        let [(Frame { time: a, .. }, from), (Frame { time: b, .. }, to)] = pair else {
+            continue;
+        };
+        let ends = arm.flange(a + shift).zip(arm.flange(b + shift));
+        let Some((start, end)) = ends.filter(|_| b - a < FRAME) else {
+            continue;
+        };
+        let far = from.translation.vector.norm();
+        let seen = velocity(&(from * to.inverse()), b - a, far);
+        let moved = (start * setup.mount).inverse() * end * setup.mount;
+        let measured = velocity(&moved, b - a, far);
+        product += seen.dot(&measured);
+        squares[0] += seen.norm_squared();
+        squares[1] += measured.norm_squared();
+        count += 1;
+    }
+    let is_enough = count >= COMMON && squares[0] * squares[1] > 0.0;
+    is_enough.then(|| product / (squares[0] * squares[1]).sqrt())
 }
 
 /// A camera's velocity over a motion, as a point this far before it moves in the image.

@@ -2,9 +2,9 @@
 
 use tag_board::Board;
 use vision_calibration_core::{Iso3, Vec3};
-use vpc_calib::latency::{Frame, Latency, LatencyError, Setup, estimate};
+use vpc_calib::latency::{Frame, Latency, LatencyError, Setup, estimate, estimate_poses};
 use vpc_calib::target::Target;
-use vpc_calib::trajectory::{Sample, Trajectory};
+use vpc_calib::trajectory::{Sample, Track, Trajectory};
 
 use crate::synthetic::{CAMERA, Chance};
 
@@ -62,7 +62,7 @@ fn record(chance: &mut Chance, wiggle: &Wiggle, truth: &Truth) -> (Vec<Frame>, T
     for k in 0..(wiggle.seconds * 100.0) as u32 {
         arm.push(wiggle.sample(0.01 * f64::from(k)));
     }
-    let rest = vpc_calib::robot_poses::flange(wiggle.sample(0.0).q);
+    let rest = vpc_calib::pose_file::flange(wiggle.sample(0.0).q);
     let board = rest * mount() * Iso3::new(Vec3::new(0.0, 0.0, 0.38), Vec3::new(0.1, 0.2, 0.3));
     let mut frames = Vec::new();
     let mut time = truth.offset.abs() + 0.05;
@@ -70,7 +70,7 @@ fn record(chance: &mut Chance, wiggle: &Wiggle, truth: &Truth) -> (Vec<Frame>, T
         // Each row has its time: once with that of the middle, then with that of each corner.
         let exposed = |row: f64| {
             let q = wiggle.sample(time + truth.offset + row * truth.readout).q;
-            (vpc_calib::robot_poses::flange(q) * mount()).inverse() * board
+            (vpc_calib::pose_file::flange(q) * mount()).inverse() * board
         };
         let mut view = chance.view(&CAMERA, &Board::default(), &exposed(0.0), 0.0);
         let target = Target::from(&Board::default());
@@ -124,7 +124,8 @@ fn the_offset_is_found_with_its_sign_and_the_readout_with_it() {
             miss.abs() < 0.5e-3 && miss.abs() < 5.0 * result.sigma.max(2e-5),
             "{offset}: {result}"
         );
-        assert!((result.readout[0] - 0.015).abs() < 2e-3, "{result}");
+        let [readout, _] = result.readout.unwrap();
+        assert!((readout - 0.015).abs() < 2e-3, "{result}");
         worst = worst.max(miss.abs());
     }
     testkit::tell(format_args!("latency off by {:.3} ms at most", 1e3 * worst));
@@ -196,4 +197,63 @@ fn a_motion_that_repeats_itself_is_not_good_enough() {
         .verdict()
         .to_string();
     assert!(said.contains("wiggle irregularly"), "{said}");
+}
+
+/// Poses of the flange at 50 Hz, and of the board at 30 Hz, whose stamps are off.
+fn poses(chance: &mut Chance, wiggle: &Wiggle, offset: f64) -> (Vec<(f64, Iso3)>, Track) {
+    let flange = |time: f64| vpc_calib::pose_file::flange(wiggle.sample(time).q);
+    let robot = (0..600).map(|k| 0.02 * f64::from(k));
+    let robot: Vec<_> = robot.map(|time| (time, flange(time))).collect();
+    let board = Iso3::new(Vec3::new(0.5, 0.0, 0.0), Vec3::new(3.1, 0.0, 0.1));
+    let seen = (10..340).map(|k| f64::from(k) / 30.0);
+    let pose = |time: f64| {
+        let off = Iso3::new(chance.vector(1e-3), chance.vector(2e-3));
+        (
+            time,
+            (flange(time + offset) * mount()).inverse() * board * off,
+        )
+    };
+    (seen.map(pose).collect(), Track::from(robot))
+}
+
+#[test]
+fn poses_alone_give_the_offset_and_a_true_deviation() {
+    let (mut scores, mut worst) = (Vec::new(), 0.0f64);
+    for (seed, offset) in [-0.12, -0.04, -0.003, 0.0, 0.017, 0.09, 0.2]
+        .into_iter()
+        .enumerate()
+    {
+        let mut chance = Chance::new(seed as u64);
+        let mut wiggle = Wiggle::by_hand(&mut chance);
+        for joint in &mut wiggle.joints {
+            joint.iter_mut().for_each(|one| one[0] *= 5.0);
+        }
+        let (seen, arm) = poses(&mut chance, &wiggle, offset);
+        let result = estimate_poses(&seen, &arm).unwrap();
+        assert!(result.verdict().is_good(), "{}\n{result}", result.verdict());
+        let off = result.offset - offset;
+        worst = worst.max(off.abs());
+        scores.push(off / result.sigma);
+    }
+    testkit::tell(format_args!(
+        "poses alone: off by {:.2} ms at most",
+        1e3 * worst
+    ));
+    let spread = scores.iter().map(|z| z * z).sum::<f64>() / scores.len() as f64;
+    assert!(
+        worst < 1e-3 && (0.1..3.5).contains(&spread),
+        "{worst} {spread} {scores:?}"
+    );
+    // Of another motion.
+    let mut chance = Chance::new(3);
+    let [one, other] = [0, 1].map(|_| Wiggle::by_hand(&mut chance));
+    let (seen, _) = poses(&mut chance, &one, 0.0);
+    let (few, arm) = poses(&mut chance, &other, 0.0);
+    let error = estimate_poses(&seen, &arm);
+    assert!(
+        matches!(error, Err(LatencyError::Unrelated(_))),
+        "{error:?}"
+    );
+    let error = estimate_poses(&few[..50], &arm);
+    assert_eq!(error, Err(LatencyError::TooFew { found: 50 }));
 }

@@ -6,6 +6,7 @@ mod intrinsics;
 mod latency;
 mod opencv;
 mod program;
+mod real;
 mod rendered;
 mod sheet;
 mod synthetic;

@@ -6,13 +6,19 @@ use serde::Deserialize;
 use tag_board::Board;
 use testkit::python::{Environment, run, script};
 use vision_calibration_core::{Iso3, Vec3};
-use vpc_calib::hand_eye::Pair;
+use vpc_calib::hand_eye::{Mounting, Pair};
 use vpc_calib::target::Target;
 use vpc_calib::view::View;
 use vpc_calib::{hand_eye, intrinsics};
 
 use crate::hand_eye::{PANDA, mount, pairs};
 use crate::synthetic::{CAMERA, Chance};
+
+pub const ENVIRONMENT: Environment = Environment {
+    name: "python-opencv",
+    requirements: &[],
+    packages: &["numpy", "opencv-python-headless>=4.10,<5"],
+};
 
 #[derive(Deserialize)]
 struct Judgement {
@@ -42,12 +48,7 @@ fn judged(python: &std::path::Path, pairs: &[Pair], target: &Target) -> Judgemen
 
 #[test]
 fn the_lens_is_opencvs_and_the_mounting_is_nearer_to_the_truth() {
-    let environment = Environment {
-        name: "python-opencv",
-        requirements: &[],
-        packages: &["numpy", "opencv-python-headless>=4.10,<5"],
-    };
-    let Some(python) = environment.python("calibrations beside OpenCV") else {
+    let Some(python) = ENVIRONMENT.python("calibrations beside OpenCV") else {
         return;
     };
     let target = Target::from(&Board::default());
@@ -74,7 +75,8 @@ fn the_lens_is_opencvs_and_the_mounting_is_nearer_to_the_truth() {
             assert!((found - judged).abs() < 3e-4, "{found} {judged}");
         }
         assert!((lens.rms_px - judgement.rms).abs() < 1e-4);
-        let found = hand_eye::calibrate(&pairs, &lens.camera, &target).unwrap();
+        let found =
+            hand_eye::calibrate(&pairs, Mounting::EyeInHand, &lens.camera, &target).unwrap();
         let add = |sum: &mut [f64; 2], off: [f64; 2]| {
             *sum = [0, 1].map(|k| sum[k] + off[k] * off[k] / seeds as f64);
         };

@@ -253,6 +253,81 @@ fn bad_input_is_refused_with_words_and_an_exit_code() {
 }
 
 #[test]
+fn poses_of_a_file_give_the_mounting_on_the_flange_and_beside_the_arm() {
+    let mut chance = Chance::new(9);
+    let views: Vec<Iso3> = (0..12).map(|_| chance.pose(35.0)).collect();
+    let numbers = |pose: &Iso3| {
+        let (t, q) = (pose.translation.vector, pose.rotation.coords);
+        [t.x, t.y, t.z, q.x, q.y, q.z, q.w]
+            .map(|x| format!("{x:.7}"))
+            .join(",")
+    };
+    let head = HEADER.trim_end();
+    let head = format!("{head},board_x,board_y,board_z,board_qx,board_qy,board_qz,board_qw\n");
+    let file = |flange: &dyn Fn(&Iso3) -> Iso3| {
+        let line = |(number, seen): (usize, &Iso3)| {
+            format!("{number},{},{}\n", numbers(&flange(seen)), numbers(seen))
+        };
+        head.clone() + &views.iter().enumerate().map(line).collect::<String>()
+    };
+    let files = Place::new();
+    let in_hand = file(&|seen| place() * seen.inverse() * mount().inverse());
+    let wrist = files.file("wrist.csv", &in_hand);
+    let out = files.path("wrist.toml");
+    let arguments = ["hand-eye", "--poses", text(&wrist), "-o", text(&out)];
+    let (code, words) = said(&arguments);
+    assert_eq!(code, Some(0), "{words}");
+    let read = hand_eye::read(&out, hand_eye::Frame::Flange)
+        .unwrap()
+        .camera;
+    let apart = read.translation.vector;
+    let known = mount().translation.vector;
+    assert!(
+        (apart.x - known.x).hypot(apart.z - known.z) < 1e-5,
+        "{words}"
+    );
+    let (camera, board) = (place(), mount());
+    let to_hand = file(&|seen| camera * seen * board.inverse());
+    let beside = files.file("beside.csv", &to_hand);
+    let arguments = ["hand-eye", "--poses", text(&beside)];
+    let (code, words) = said(&arguments);
+    assert_eq!(code, Some(1), "{words}");
+    assert!(words.contains("--eye-to-hand"), "{words}");
+    let out = files.path("beside.toml");
+    let more = ["--eye-to-hand", "-o", text(&out)];
+    let (code, words) = said(&[&arguments[..], &more].concat());
+    assert_eq!(code, Some(0), "{words}");
+    assert!(
+        words.contains("camera in the base: 500.00 50.00 0.00 mm"),
+        "{words}"
+    );
+    // No program takes it for a camera on a wrist.
+    let error = hand_eye::read(&out, hand_eye::Frame::Flange).unwrap_err();
+    assert!(error.to_string().contains("`frame`"), "{error}");
+    // Without the board's columns, and without a camera for images.
+    let robot = files.file("robot.csv", format!("{HEADER}0,0.3,0,0.5,0,0,0,1\n"));
+    let (code, words) = said(&["hand-eye", "--poses", text(&robot)]);
+    assert_eq!(code, Some(78), "{words}");
+    assert!(
+        words.contains("allowed: columns board_x to board_qw too, or --images"),
+        "{words}"
+    );
+    let images = files.path(".");
+    let (code, words) = said(&[
+        "hand-eye",
+        "--poses",
+        text(&robot),
+        "--images",
+        text(&images),
+    ]);
+    assert_eq!(code, Some(78), "{words}");
+    assert!(
+        words.contains("--camera = none; allowed: a calibration"),
+        "{words}"
+    );
+}
+
+#[test]
 fn the_board_is_drawn_and_not_drawn_over() {
     let place = Place::new();
     let out = place.path("board.svg");

@@ -6,7 +6,7 @@ use vision::{Look, Renderer, Tag};
 use vision_calibration_core::Iso3;
 use vpc_calib::camera::Camera;
 use vpc_calib::detector::Detector;
-use vpc_calib::hand_eye::{self, Pair};
+use vpc_calib::hand_eye::{self, Mounting, Pair};
 use vpc_calib::intrinsics;
 use vpc_calib::picture::Picture;
 use vpc_calib::target::Target;
@@ -117,7 +117,8 @@ fn rendered_images_give_focal_length_and_mounting() {
             lens.verdict()
         );
         let focal = [0, 1].map(|k| (lens.camera.focal[k] / PINHOLE.focal[k] - 1.0).abs());
-        let found = hand_eye::calibrate(&pairs, &lens.camera, &target).unwrap();
+        let found =
+            hand_eye::calibrate(&pairs, Mounting::EyeInHand, &lens.camera, &target).unwrap();
         assert!(
             found.verdict().is_good(),
             "{seed}: {}\n{found}",
