@@ -107,24 +107,34 @@ impl Towards {
         (elbow * SLOW / square, coupling)
     }
 
-    /// The velocities of the joints straight from `q` to there, as fast as the camera's limits, the
-    /// joints' and the elbow's allow, and not past it in so many seconds.
-    fn straight(&self, arm: &Arm, q: &Joints, seconds: f64) -> Joints {
+    /// The velocities of the camera, along its axes, and of the elbow that lead straight there from
+    /// `q`, as fast as their limits and the joints' allow, and not past it in so many seconds.
+    fn straight(&self, arm: &Arm, q: &Joints, moves: &Moves, seconds: f64) -> ([f64; 6], f64) {
         let way = self.q - q;
-        let (camera, jacobian) = arm.chain.at(q);
-        let twist = along_camera(&camera).transpose() * (jacobian * way);
-        let camera_s = twist
-            .iter()
-            .zip(&self.limits)
-            .map(|(v, most)| v.abs() / most);
+        let twist = moves.along.transpose() * (moves.jacobian * way);
+        let elbow = match arm.is_elbow_free {
+            true => elbow::along(&moves.free, &(way - moves.map * twist)),
+            false => 0.0,
+        };
+        let camera = twist.iter().zip(&self.limits);
         let joints = way.iter().zip(&arm.limits.0);
-        let joints_s = joints.map(|(way, joint)| way.abs() / (arm.speed * joint.velocity));
-        let all = camera_s
-            .chain(joints_s)
-            .fold(seconds.max(LEAST_S), f64::max);
-        let free = ik::elbow(&inverse(&jacobian), &jacobian);
-        way / all.max(elbow::along(&free, &way).abs() / elbow::FASTEST)
+        let all = camera
+            .map(|(v, most)| v.abs() / most)
+            .chain(joints.map(|(way, joint)| way.abs() / (arm.speed * joint.velocity)))
+            .chain([elbow.abs() / elbow::FASTEST, seconds, LEAST_S]);
+        let took = all.fold(0.0, f64::max);
+        ((twist / took).into(), elbow / took)
     }
+}
+
+/// How an arm moves at a posture.
+struct Moves {
+    jacobian: Jacobian,
+    /// From a velocity along camera axes to one along base axes.
+    along: Matrix6<f64>,
+    /// M and s of [`Dampers`].
+    map: SMatrix<f64, JOINTS, 6>,
+    free: Joints,
 }
 
 /// The bounds of a posture.
@@ -238,11 +248,14 @@ impl Dampers {
         let mut turning = 0.0;
         match towards {
             Some(to) => {
-                let dq = to.straight(arm, q, seconds);
-                let twist: [f64; 6] = (along.transpose() * (jacobian * dq)).into();
-                if arm.is_elbow_free {
-                    (turning, coupling) = to.coupled(&twist, elbow::along(&free, &dq));
-                }
+                let moves = Moves {
+                    jacobian,
+                    along,
+                    map,
+                    free,
+                };
+                let (twist, elbow) = to.straight(arm, q, &moves, seconds);
+                (turning, coupling) = to.coupled(&twist, elbow);
                 wanted = Some(twist);
             }
             None if arm.is_elbow_free => {
@@ -571,6 +584,52 @@ mod tests {
         let dampers = Dampers::at(&arm, &Joints::from(READY), &ACCELERATIONS, 1.0 / 30.0);
         assert_eq!(dampers.elbow(&[0.0; 6]), 0.0);
         assert_eq!(dampers.joints(&[0.0; 6]), Joints::zeros());
+    }
+
+    #[test]
+    fn on_the_way_to_a_posture_camera_and_elbow_keep_step_within_the_bounds() {
+        let (mut arm, mut random) = (arm(), ChaCha8Rng::seed_from_u64(5));
+        let (period, mut arrived) = (1.0 / 30.0, 0);
+        for round in 0..40 {
+            arm.is_elbow_free = round % 2 == 0;
+            let mut q = posture(&mut random);
+            let mut to = Towards {
+                q: Joints::from_fn(|k, _| q[k] + random.random_range(-0.3..0.3)),
+                limits: [0.1, 0.1, 0.1, 0.3, 0.3, 0.3],
+            };
+            if !arm.is_elbow_free {
+                to.q[ik::ELBOW] = q[ik::ELBOW];
+            }
+            for step in 0..400 {
+                let dampers = Dampers::towards(&arm, &q, &ACCELERATIONS, period, Some(&to));
+                let wanted = dampers.wanted.unwrap();
+                let pairs = wanted.iter().zip(to.limits);
+                assert!(pairs.into_iter().all(|(v, most)| v.abs() < 1.001 * most));
+                let (way, dq) = (to.q - q, dampers.joints(&wanted));
+                if step == 0 && dampers.share(&wanted) == 1.0 {
+                    assert!(dq.dot(&way) > 0.95 * dq.norm() * way.norm());
+                }
+                // Each bound counts what camera and elbow do together.
+                for bound in dampers
+                    .bounds
+                    .iter()
+                    .filter(|b| matches!(b.cause, Cause::Joint(_)))
+                {
+                    let Cause::Joint(k) = bound.cause else {
+                        continue;
+                    };
+                    let alone = dampers.joints(&[0.0; 6]);
+                    let together = (dq - alone)[k].abs();
+                    let counted: f64 = bound.gradient.iter().zip(wanted).map(|(g, v)| g * v).sum();
+                    assert!((counted.abs() - together).abs() < 1e-9);
+                }
+                let twist = wanted.map(|v| v * dampers.share(&wanted));
+                q = arm.moved(&q, &twist, dampers.elbow(&twist), period);
+            }
+            arrived += usize::from((to.q - q).amax() < 0.02);
+        }
+        // The others are beyond a margin, a wall or the greatest strain.
+        assert!(arrived >= 20, "{arrived}");
     }
 
     #[test]
