@@ -5,17 +5,11 @@
 //! show the goal. Every posture keeps to the arm's ranges, singular postures, walls and links, and
 //! shows the whole pattern; so does every edge, in short steps. A search takes one cycle's time,
 //! begins anew in the next, with other numbers, and remembers nothing. What it finds is a candidate
-//! of foresight like all others: the law tracks the image of the next place, and the elbow joint 3
-//! of it; a simulated future tells whether it arrives.
+//! of foresight like all others: the law goes straight in the joints to the next place, by the
+//! nearest twist that its constraints allow, and a simulated future tells whether it arrives.
 //!
-//! | Symbol | Here | Meaning |
-//! |---|---|---|
-//! | q | `Joints` | a posture, rad or m |
-//! | `B` | `pattern` | the pattern in the base of the arm, which does not move |
-//! | c | `Condition` | what a posture leaves of all that is kept to |
-//!
-//! A step may not leave less than the least that is wanted, or than the one before it left: so a
-//! path leads out of what the arm must not enter.
+//! A posture must leave as much of all limits as is wanted, or as the posture before it left: so a
+//! path leads out of what the arm must not enter. The pattern is taken to be at rest.
 //!
 //! Source: J. Kuffner and S. LaValle, "RRT-Connect: an efficient approach to single-query path
 //! planning", ICRA 2000.
@@ -240,8 +234,9 @@ impl<'a> Planner<'a> {
         };
         let (mut out, mut back, mut path) = (tree()?, tree()?, tree()?);
         let reserve = self.left / SHORTENING;
-        out.push(&self.start.clone(), 0)?;
-        self.condition(&self.start.clone())?;
+        let start = self.start;
+        out.push(&start, 0)?;
+        self.condition(&start)?;
         let mut tries = 0;
         let (joined, joins) = loop {
             let is_full = out.count == MOST || back.count == MOST;
@@ -282,12 +277,8 @@ impl<'a> Planner<'a> {
         let Some(q) = self.posture(begin, &goal) else {
             return;
         };
-        let wanted = Condition {
-            slack: LEAST,
-            clear_px: self.least_px,
-        };
-        // Sight is the goal's own, as its scene was checked.
-        let is_fit = |found: Condition| found.slack.is_at_least(&wanted.slack);
+        // Its scene was checked: the goal is in sight.
+        let is_fit = |found: Condition| found.slack.is_at_least(&LEAST);
         if self.condition(&q).is_some_and(is_fit) {
             let _ = back.push(&q, back.count);
         }
