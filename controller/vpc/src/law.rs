@@ -462,10 +462,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             Strategy::Ibvs => self.task.reach,
             _ => self.task.period,
         };
-        let towards = self.state.foresight.guide.posture(&self.state.path);
+        let is_foresight = self.settings.strategy == Strategy::Foresight;
+        let guide = Some(&self.state.foresight.guide).filter(|_| is_foresight);
+        let towards = guide.and_then(|guide| guide.posture(&self.state.path));
         let dampers = self.task.dampers(initial.q.as_ref(), seconds, towards);
         let dampers = dampers.as_ref();
-        let is_foresight = self.settings.strategy == Strategy::Foresight;
         let stands = is_foresight && self.loses_patience(dampers, step.error_px, is_linked);
         match self.settings.strategy {
             Strategy::Ibvs => self.servo(&initial, dampers, &mut step),

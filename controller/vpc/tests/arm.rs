@@ -7,6 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::Scene;
 use vpc::arm::Cause;
+use vpc::guide::{Guide, Kind};
 use vpc::{Law, Measurement, Refusal, Settings, Step, Strategy};
 
 const PERIOD_NS: u64 = 33_333_333;
@@ -183,6 +184,39 @@ fn a_path_in_the_joints_leads_out_of_corners() {
         let state = law.state();
         assert!(state.searches > 0 && state.path.count > 0);
     }
+}
+
+#[test]
+fn only_foresight_goes_along_a_path_in_the_joints() {
+    let (arm, scene) = (panda(), scene(true));
+    let mut law = law(&scene, Strategy::Foresight);
+    let mut q = Joints::from([0.1959, -1.6083, 0.2638, -2.2543, -0.0948, 1.0303, 1.1995]);
+    let step = |law: &mut Law<_>, q: &Joints, k: u64| {
+        let points = seen(&scene, &(arm.chain.pose(q).inverse() * object())).unwrap();
+        let now_ns = k * PERIOD_NS;
+        law.see_joints(q.as_slice(), now_ns);
+        let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
+        law.step(&measured, None).unwrap()
+    };
+    let found = (0..900).find(|k| {
+        let sent = step(&mut law, &q, *k);
+        law.sent(&sent.twist, k * PERIOD_NS);
+        law.sent_elbow(sent.elbow);
+        law.think(None);
+        q = arm.moved(&q, &sent.twist, sent.elbow, 1.0 / 30.0);
+        law.foreseen().guide.kind == Kind::Joints
+    });
+    let next = found.unwrap() + 1;
+    let (mut with, mut without) = (law.state(), law.state());
+    without.foresight.guide = Guide::GOAL;
+    for state in [&mut with, &mut without] {
+        state.strategy = Strategy::Previous;
+    }
+    let [with, without] = [with, without].map(|state| {
+        law.restore(&state);
+        step(&mut law, &q, next)
+    });
+    assert_eq!(with, without);
 }
 
 /// An object half a metre before the arm.
