@@ -61,7 +61,8 @@ impl Posture {
     }
 }
 
-/// The joints after `seconds`, in which the camera moves at `twist` and the elbow at `elbow`, rad/s.
+/// The joints after `seconds`, in which the camera moves at `twist` and the elbow at `elbow`,
+/// rad/s.
 pub(crate) fn moved(
     arm: Option<&Arm>,
     q: Option<&Joints>,

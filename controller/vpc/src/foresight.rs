@@ -10,12 +10,13 @@
 //! at a cost that is lower by 3 %. With an exact model the incumbent's cost-to-go therefore never
 //! rises, and a stall cannot persist: a future that stalls never beats one that arrives.
 //!
-//! The candidates are, in this order: the incumbent; the goal; near an occlusion, the way points
-//! that k-NN and the Gaussian process infer; and samples of the memory, in turn one of the nearest
-//! and any one. A cycle may simulate a fixed number of steps. No clock decides, so a replay gives
-//! the same bits. A future that takes more steps continues in the next cycle; its cost is then
-//! accurate up to the camera's motion in between. Where the scene has a crossable occlusion, half
-//! of the drawn candidates may cross it (`crossing.rs`).
+//! The candidates are, in this order: the incumbent; a path in the joints that was just found; the
+//! goal; near an occlusion, the way points that k-NN and the Gaussian process infer; and samples of
+//! the memory, in turn one of the nearest and any one. A cycle may simulate a fixed number of
+//! steps. No clock decides, so a replay gives the same bits. A future that takes more steps
+//! continues in the next cycle; its cost is then accurate up to the camera's motion in between.
+//! Where the scene has a crossable occlusion, half of the drawn candidates may cross it
+//! (`crossing.rs`).
 //!
 //! Source: D. Bertsekas, "Rollout, Policy Iteration, and Distributed Reinforcement Learning"
 //! (2020), Sect. 2.3 (fortified rollout).

@@ -1,8 +1,7 @@
 //! The guide: the sub-goals that the law tracks on the way to the goal.
 
-use serde::{Deserialize, Serialize};
-
 use ::arm::Joints;
+use serde::{Deserialize, Serialize};
 
 use crate::Points;
 use crate::features::{self, PlainPoints};
@@ -15,11 +14,11 @@ pub const MOST: usize = 2;
 const LENGTH: f64 = 25.0;
 /// Steps without progress after which a sub-goal is given up.
 const BLOCKED: f64 = 3.0;
-/// The same three of a place of a path in the joints, which is passed at a distance, px.
+/// The same two of a place of a path in the joints.
 const PLACE_LENGTH: f64 = 100.0;
 const PLACE_BLOCKED: f64 = 20.0;
+/// A place is passed at this distance, the last one at the next, px.
 const PASSED_PX: f64 = 10.0;
-/// The same of the last place.
 const LAST_PX: f64 = 0.5;
 /// Pixels that 1 rad or m of a joint counts as.
 const JOINT_PX: f64 = 200.0;

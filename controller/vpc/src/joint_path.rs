@@ -66,7 +66,7 @@ const CLEAR_PX: f64 = 3.0;
 const SHARES: [f64; 2] = [0.1, 0.9];
 const DEPTHS: [f64; 2] = [0.5, 2.5];
 const TILT: f64 = 0.6;
-/// Every so many samples one is of each kind that is dear.
+/// Of so many samples one searches for a posture from anywhere, and one near a known posture.
 const KINDS: f64 = 6.0;
 /// How far from a known posture a search for another begins, rad or m.
 const NEAR: f64 = 0.6;
@@ -189,8 +189,8 @@ pub(crate) struct Planner<'a> {
 
 impl<'a> Planner<'a> {
     /// The search of this number from the pattern and the arm as they are, with a clearance of
-    /// `margin_px` in the image and for so much work, ns. `None` where the arm or the pattern's pose
-    /// is not known.
+    /// `margin_px` in the image and for so much work, ns. `None` where the arm or the pattern's
+    /// pose is not known.
     pub fn new(
         task: &'a Task,
         initial: &InitialState,
@@ -255,11 +255,11 @@ impl<'a> Planner<'a> {
             let Some(sample) = self.sample(from) else {
                 continue;
             };
-            let Some((reached, _)) = self.extend(from, &sample, true) else {
+            let Some((reached, _)) = self.extend(from, &sample) else {
                 continue;
             };
             let (new, _) = from.get(reached)?;
-            if let Some((other, true)) = self.extend(to, &new, true) {
+            if let Some((other, true)) = self.extend(to, &new) {
                 break match tries % 2 {
                     0 => (reached, other),
                     _ => (other, reached),
@@ -373,9 +373,9 @@ impl<'a> Planner<'a> {
         })
     }
 
-    /// Adds to a tree what leads from its nearest posture to `to`: a step, or all as far as it
-    /// goes. The last that was added, and whether it is `to`; `None` if there is none.
-    fn extend(&mut self, tree: &mut Tree, to: &Joints, is_all: bool) -> Option<(usize, bool)> {
+    /// Adds to a tree the steps from its nearest posture to `to`, as far as they are allowed. The
+    /// last that was added, and whether it is `to`; `None` if there is none.
+    fn extend(&mut self, tree: &mut Tree, to: &Joints) -> Option<(usize, bool)> {
         self.spend(NEAREST_NS * tree.count as u64);
         let mut at = tree.nearest(to)?;
         let (mut q, _) = tree.get(at)?;
@@ -398,7 +398,7 @@ impl<'a> Planner<'a> {
                 return added;
             };
             added = Some((new, is_there));
-            if is_there || !is_all {
+            if is_there {
                 return added;
             }
             (at, q, before) = (new, next, condition);
@@ -438,7 +438,7 @@ impl<'a> Planner<'a> {
         }
     }
 
-    /// The places of a path, without where it begins; `None` if it has too many corners.
+    /// The places of a path, without where it begins; `None` if there are none or too many corners.
     fn places(&self, path: &Tree) -> Option<JointPath> {
         let ways = |k: usize| Some((path.get(k)?.0, path.get(k + 1)?.0));
         let all = || (0..path.count.saturating_sub(1)).filter_map(ways);
@@ -469,7 +469,7 @@ impl<'a> Planner<'a> {
                 found.count += 1;
             }
         }
-        Some(found)
+        (found.count > 0).then_some(found)
     }
 
     fn between(&mut self, [least, most]: [f64; 2]) -> f64 {
@@ -535,8 +535,8 @@ mod tests {
         Task::new(&scene).unwrap()
     }
 
-    /// What the camera sees of an object that is at the goal when joint 7 is at -2.1 rad, with joint
-    /// 7 at `at`.
+    /// What the camera sees with joint 7 at `at` of an object that is at the goal when joint 7 is at
+    /// -2.1 rad.
     fn seen(task: &Task, at: f64) -> InitialState {
         let arm = task.arm.as_ref().unwrap();
         let turned = |at: f64| {

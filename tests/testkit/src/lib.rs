@@ -61,8 +61,8 @@ pub fn not_run(what: &str, why: impl Display) {
     tell(line);
 }
 
-/// A folder of `VPC_REAL`, recordings of real cameras and robots; `None`, after [`not_run`], where it
-/// is not here.
+/// A folder of `VPC_REAL`, recordings of real cameras and robots; `None`, after [`not_run`], where
+/// it is not here.
 pub fn real(what: &str, folder: &str) -> Option<PathBuf> {
     let place = std::env::var_os("VPC_REAL").map(|place| Path::new(&place).join(folder));
     let place = place.filter(|place| place.is_dir());

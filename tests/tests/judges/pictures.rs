@@ -1,7 +1,7 @@
 //! Pictures: other detectors and published corners say where the tags are.
 //!
-//! Those of real cameras are not here: `VPC_REAL` names a folder with `rbt/`, the pictures of `rbt/sequence`, and
-//! `tags/`, the files of `AprilTag`, both of github.com/lagadic/visp-images.
+//! Those of real cameras are not here: `VPC_REAL` names a folder with `rbt/`, the pictures of
+//! `rbt/sequence`, and `tags/`, the files of `AprilTag`, both of github.com/lagadic/visp-images.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -36,6 +36,24 @@ struct Summary {
     beside: [f64; 2],
 }
 
+impl Found {
+    fn tell(&self, pictures: &str) {
+        let Summary {
+            whole,
+            rms,
+            most,
+            ms,
+            beside,
+        } = &self.summary;
+        tell(format!(
+            "{pictures} by {}: all tags in {whole} of {} frames, RMS {rms:.3} px, {most:.3} at most, {ms:.1?} ms, beside ours \
+             {beside:.3?} px",
+            self.detector,
+            self.frames.len()
+        ));
+    }
+}
+
 /// What `cargo judge` says of a folder.
 fn judged(folder: &Path, tags: &str, flags: &[&str]) -> Vec<Found> {
     let mut cargo = testkit::command(env!("CARGO"));
@@ -55,19 +73,7 @@ fn a_moving_cameras_tags_are_found_as_often_as_by_apriltag_3_and_as_exactly() {
     };
     let all = judged(&folder, "0,1,2,3,4,5,6", &[]);
     for found in &all {
-        let Summary {
-            whole,
-            rms,
-            most,
-            ms,
-            beside,
-        } = &found.summary;
-        let count = found.frames.len();
-        tell(format!(
-            "{}: all tags in {whole} of {count} frames, RMS {rms:.3} px, {most:.3} at most, {ms:.1?} ms, beside ours \
-             {beside:.3?} px",
-            found.detector
-        ));
+        found.tell("rbt");
     }
     let [ours, others @ ..] = all.as_slice() else {
         panic!("no detector");
@@ -101,18 +107,10 @@ fn tags_of_every_family_are_found_as_often_as_by_opencv_and_as_exactly() {
         let all = judged(&place.path("."), "0,1,2,3,4,5", &["--family", name]);
         let ours = &all[0].summary;
         for found in &all {
+            found.tell(name);
             let Summary {
-                whole,
-                rms,
-                most,
-                ms,
-                beside,
+                whole, rms, beside, ..
             } = &found.summary;
-            tell(format!(
-                "{name} by {}: all tags in {whole} of {count} frames, RMS {rms:.3} px, {most:.3} at most, {ms:.1?} ms, beside \
-                 ours {beside:.3?} px",
-                found.detector
-            ));
             assert!(ours.whole >= *whole, "{name}: {}", found.detector);
             assert!(ours.rms <= *rms, "{name}: {}", found.detector);
             let [u, v] = beside.map(f64::abs);
@@ -146,8 +144,9 @@ fn rendered(family: Family, folder: &Path) -> usize {
     FRAMES
 }
 
-/// Centres by published corners: a line with the tag's name, whose end is its number, and four
-/// lines of numbers, `[u, v]` px or the other way round. The origin is the corner of the first pixel.
+/// Centres by published corners: a line with the tag's name, which ends in its number, and four
+/// lines of numbers, `[u, v]` px or the other way round. The origin is the corner of the first
+/// pixel.
 fn published(path: &Path, is_row_first: bool) -> Centres {
     let text = std::fs::read_to_string(path).unwrap();
     let mut lines = text.lines().filter(|line| !line.trim().is_empty());

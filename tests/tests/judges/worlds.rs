@@ -9,8 +9,8 @@ use serde::Deserialize;
 use testkit::python::{self, Environment, script};
 use testkit::{Place, Running, ended, is_long, not_run, program, root, tell};
 
-/// What the features of a run may miss, and on the mean, px: neither a half pixel nor a texture that
-/// is not quite in its place. PyBullet's renderer draws edges to the whole pixel.
+/// What the features of a run may miss, and on the mean, px: neither a half pixel nor a texture
+/// that is not quite in its place. PyBullet's renderer draws edges to the whole pixel.
 const FEATURES_PX: f64 = 0.15;
 const BIAS_PX: f64 = 0.1;
 /// Starts of a short test, of which a run takes 12 s or less, and of a long one: the first, and how

@@ -41,7 +41,8 @@ pub enum Command {
 /// What is looked at.
 #[derive(Args, Clone, Debug, Default)]
 pub struct TargetArguments {
-    /// File of the board (TOML), documented in ipc/clients/calib/board/board.toml; default: that one.
+    /// File of the board (TOML), documented in ipc/clients/calib/board/board.toml; default: that
+    /// one.
     #[arg(long, value_name = "FILE")]
     pub board: Option<PathBuf>,
     /// A scene instead: tags 0, 1, ... at the points of its pattern.
@@ -91,7 +92,8 @@ pub struct StreamArguments {
 #[derive(Args, Debug)]
 #[allow(missing_docs)]
 pub struct BoardArguments {
-    /// File of the board (TOML), documented in ipc/clients/calib/board/board.toml; default: that one.
+    /// File of the board (TOML), documented in ipc/clients/calib/board/board.toml; default: that
+    /// one.
     #[arg(long, value_name = "FILE")]
     pub board: Option<PathBuf>,
     #[command(flatten)]
@@ -117,8 +119,8 @@ pub struct IntrinsicsArguments {
 pub struct HandEyeArguments {
     #[command(flatten)]
     pub images: ImageArguments,
-    /// Poses of the robot (CSV); default: poses.csv in the folder of the images. Without --images: with
-    /// the board's poses in the camera.
+    /// Poses of the robot (CSV); default: poses.csv in the folder of the images. Without --images:
+    /// with the board's poses in the camera.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["domain", "config", "views", "save"])]
     pub poses: Option<PathBuf>,
     /// The camera stands still, the flange carries the board.

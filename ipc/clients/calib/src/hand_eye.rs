@@ -1,11 +1,10 @@
 //! Where the camera is mounted, from poses of the robot and views of a target: the camera on the
 //! flange and the target still, or the camera still and the target on the flange.
 //!
-//! Source: F. Park and B. Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group"
-//! (1994), for the start; then least squares on poses, which also tells what
-//! is wrong with them; then, where corners are known, mounting, target and an error of each robot
-//! pose at once, by least squares on reprojection errors. The robot's accuracy is estimated with
-//! them.
+//! Source: F. Park and B. Martin, "Robot sensor calibration: solving AX = XB on the Euclidean
+//! group" (1994), for the start; then least squares on poses, which also tells what is wrong with
+//! them; then, where corners are known, mounting, target and an error of each robot pose at once,
+//! by least squares on reprojection errors. The robot's accuracy is estimated with them.
 
 mod cause;
 mod corners;

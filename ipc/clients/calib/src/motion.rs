@@ -108,10 +108,10 @@ pub fn check(flanges: &[Iso3], targets: &[Iso3]) -> Result<(), MotionError> {
     }
 }
 
-/// The camera in the flange frame, in closed form: its turn carries the axes of the camera's turns to
-/// those of the robot's, then its place is linear. `None` where turns do not tell.
+/// The camera in the flange frame, in closed form: its turn carries the axes of the camera's turns
+/// to those of the robot's, then its place is linear. `None` where turns do not tell.
 ///
-/// Axes count by the sines of their angles, whose sense is known also near half a turn.
+/// An axis counts by the sine of its angle: near half a turn its sense is not known.
 pub fn mounting(flanges: &[Iso3], targets: &[Iso3]) -> Option<Iso3> {
     let motion = |(i, j): (usize, usize)| {
         let robot = flanges[i].inverse() * flanges[j];

@@ -1,9 +1,10 @@
-//! Poses from a file: CSV whose first line names the columns.
+//! Poses from a CSV file; its first line names the columns.
 //!
-//! Beside images or instead of them: `image`, a name, then the flange in the base: `x,y,z,qx,qy,qz,qw`
-//! (m, and its unit quaternion) or `q1,q2,q3,q4,q5,q6,q7` (joints of a Panda or FR3, rad), then,
-//! optionally, the board in the camera: `board_x,board_y,board_z,board_qx,board_qy,board_qz,board_qw`.
-//! As a function of time: `time,x,y,z,qx,qy,qz,qw` (s).
+//! Beside images or instead of them: `image`, a name, then the flange in the base:
+//! `x,y,z,qx,qy,qz,qw` (m, and its unit quaternion) or `q1,q2,q3,q4,q5,q6,q7` (joints of a Panda or
+//! FR3, rad), then, optionally, the board in the camera:
+//! `board_x,board_y,board_z,board_qx,board_qy,board_qz,board_qw`. As a function of time:
+//! `time,x,y,z,qx,qy,qz,qw` (s).
 
 use std::path::Path;
 

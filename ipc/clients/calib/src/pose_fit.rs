@@ -206,7 +206,7 @@ impl System {
 mod tests {
     use super::*;
 
-    /// A robot's poses, and what a camera sees of a target whose places are told too small.
+    /// A robot's poses, and what a camera sees of a target that is larger than its file says.
     fn poses(mount: &Iso3, target: &Iso3, size: f64) -> Vec<[Iso3; 2]> {
         let turns = (0..9).map(|k| f64::from(k) * 0.7);
         let robots = turns.map(|k| {

@@ -84,8 +84,8 @@ impl From<Vec<(f64, Iso3)>> for Track {
 }
 
 impl Track {
-    /// The pose at an instant, on the straight line between its neighbours; `None` outside, and where
-    /// poses are missing.
+    /// The pose at an instant, on the straight line between its neighbours; `None` outside, and
+    /// where poses are missing.
     pub fn at(&self, time: f64) -> Option<Iso3> {
         let after = self.0.partition_point(|(known, _)| *known <= time);
         let (before, from) = self.0.get(after.checked_sub(1)?)?;

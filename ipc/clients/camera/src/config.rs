@@ -16,13 +16,15 @@ use crate::source::Shutter;
 
 /// Finds tags in a camera's images and publishes them as features.
 ///
-/// Takes images from shared memory, a camera or files, finds AprilTags or ArUco markers, and publishes
-/// vpc/features. Exit codes: 0 stopped by SIGTERM, or the files are over; 64 usage, 66 a file is
-/// missing, 69 the source or the shared memory cannot be used, 70 a defect, 78 configuration.
+/// Takes images from shared memory, a camera or files, finds AprilTags or ArUco markers, and
+/// publishes vpc/features. Exit codes: 0 stopped by SIGTERM, or the files are over; 64 usage, 66 a
+/// file is missing, 69 the source or the shared memory cannot be used, 70 a defect, 78
+/// configuration.
 #[derive(Parser, Debug)]
 #[command(name = "vpc-camera", version, args_conflicts_with_subcommands = true)]
 pub struct Arguments {
-    /// Configuration file (TOML), documented in ipc/clients/camera/vpc-camera.toml; flags win over it.
+    /// Configuration file (TOML), documented in ipc/clients/camera/vpc-camera.toml; flags win over
+    /// it.
     #[arg(long)]
     pub config: Option<PathBuf>,
     #[command(flatten)]

@@ -27,7 +27,7 @@ PLACED = 1e-4
 # Half sizes of the box, m.
 HALF_BOX = (0.13, 0.11, 0.02)
 # Light from all sides, from the camera and from the spotlight. Where only the last is shaded, a fifth of the light is missing:
-# vpc-camera takes a tag for hidden whose light differs by more than a quarter within it.
+# vpc-camera takes a tag for hidden if the light within it differs by more than a quarter.
 AMBIENT, HEADLIGHT, SPOT = ".55 .55 .55", ".2 .2 .2", ".2 .2 .2"
 # Of the arm only the wrist is drawn: rendering takes most of the time. Geoms of this group are not.
 HIDDEN, UNDRAWN = [f"fr3_link{number}" for number in range(5)], 4
@@ -44,7 +44,7 @@ def frame(matrix):
 
 
 def facing(matrix):
-    """The frame of a geom that shows its texture, y up, for a sheet whose y is down."""
+    """The frame of a geom that shows its texture, y up, from that of the sheet, y down."""
     return matrix @ OPENGL
 
 

@@ -10,7 +10,7 @@
     python3 ipc/clients/python/worlds/pybullet_world.py --scene $S/tags-robot.toml --starts $S/tags-robot-starts.csv \\
         --tags tags.svg --count 2
 
-mujoco_world.py beside it takes the same words.
+mujoco_world.py takes the same flags.
 """
 
 import math
@@ -79,7 +79,7 @@ class World:
             return pybullet.loadURDF(str(file), useFixedBase=True)
 
     def _box(self, sheet):
-        """A box with the sheet on it; the sheet's body, whose frame is that of the pattern."""
+        """A box with the sheet on it; returns the sheet's body, in the frame of the pattern."""
         base = lockstep.BASE_FROM_PATTERN
         at, turned = base[:3, 3], lockstep.quaternion(base)
         box = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=HALF_BOX, rgbaColor=(0.55, 0.4, 0.3, 1.0))

@@ -1,18 +1,18 @@
-//! What is wrong with poses, as far as they tell: one of them, a board that was moved, its size, the
-//! focal length, or how well images show it.
+//! What is wrong with poses, as far as they tell: one of them, a board that was moved, its size,
+//! the focal length, or how well images show it.
 //!
 //! Each cause is a change of the model with parameters of its own. It is named if it explains more
 //! than chance would (F test). An error of the principal point is no cause: the mounting turns with
-//! it, and nothing is left to see. Nor are the arm's lengths: their ratio to the board's size is all
-//! that motions show.
+//! it, and nothing is left to see. Nor are the arm's lengths: their ratio to the board's size is
+//! all that motions show.
 
 use vision_calibration_core::Vec3;
 
 use super::poses::{Change, Poses};
 use crate::pose_fit::{COUNT, Fit};
 
-/// F from which on a change with one parameter, or one with six, is no chance: below 1 in 1000 where
-/// 40 numbers are left.
+/// F from which on a change with one parameter, or one with six, is no chance: below 1 in 1000
+/// where 40 numbers are left.
 const CHANCE: [f64; 2] = [15.0, 5.5];
 /// Of two changes with as many parameters, both are named if their sums of squares are this near.
 const AS_LIKELY: f64 = 4.0;

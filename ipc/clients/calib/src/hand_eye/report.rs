@@ -90,7 +90,7 @@ impl HandEye {
         verdict
     }
 
-    /// Whose fault misses may be, by their direction in the camera.
+    /// Whether the images or the arm cause the misses, by their direction in the camera.
     fn direction(&self) -> String {
         let Self { spread, .. } = self;
         if spread.is_tilt() {

@@ -1,8 +1,8 @@
 //! The offset from poses alone: of the flange and of the target, each with its own stamps.
 //!
-//! Source: F. Furrer et al., "Evaluation of combined time-offset estimation and hand-eye calibration
-//! on robotic datasets" (2017): correlate how fast both turn, which no mounting changes; then fit
-//! offset and mounting together.
+//! Source: F. Furrer et al., "Evaluation of combined time-offset estimation and hand-eye
+//! calibration on robotic datasets" (2017): correlate how fast both turn, which no mounting
+//! changes; then fit offset and mounting together.
 
 use vision_calibration_core::Iso3;
 

@@ -178,7 +178,7 @@ fn stand(pairs: &mut [Pair], chance: &mut Chance) {
     }
 }
 
-/// What the camera measures of the board, for poses whose flange is exact.
+/// What the camera measures of the board, where the poses of the flange are exact.
 fn measured(pairs: &[Pair], chance: &mut Chance, error: [f64; 2]) -> Vec<RobotPose> {
     let pose = |pair: &Pair| RobotPose {
         image: pair.view.name.clone(),

@@ -199,7 +199,7 @@ fn a_motion_that_repeats_itself_is_not_good_enough() {
     assert!(said.contains("wiggle irregularly"), "{said}");
 }
 
-/// Poses of the flange at 50 Hz, and of the board at 30 Hz, whose stamps are off.
+/// Poses of the flange at 50 Hz, and of the board at 30 Hz with wrong stamps.
 fn poses(chance: &mut Chance, wiggle: &Wiggle, offset: f64) -> (Vec<(f64, Iso3)>, Track) {
     let flange = |time: f64| vpc_calib::pose_file::flange(wiggle.sample(time).q);
     let robot = (0..600).map(|k| 0.02 * f64::from(k));
