@@ -368,7 +368,7 @@ impl Config {
                 let found = format!("{:?}", keys.hand_eye);
                 return Err(document.refuse("hand_eye", found, allowed));
             }
-            (Body::Urdf, Some(arm)) => rig.arm = described::settings(arm),
+            (Body::Urdf, Some(arm)) => rig.arm = described::settings(arm, &scene.goal),
             _ => rig.arm.hand_eye = keys.hand_eye,
         }
         rig.arm.truth = keys.truth;

@@ -307,6 +307,7 @@ pub const COLUMNS: [Column<RobotRow>; 17] = [
 #[cfg(test)]
 mod tests {
     use hw_sim::robot::described;
+    use panda::kinematics::rotation_vector;
     use scene::{Arm, parse_starts};
 
     use super::*;
@@ -324,7 +325,7 @@ mod tests {
         };
         for file in ["ur5e.toml", "xarm6.toml"] {
             let arm = Arm::read(&crate::root().join("tests/arms").join(file)).unwrap();
-            let robot = described::settings(&arm);
+            let robot = described::settings(&arm, &scene.goal);
             scene.arm = Some(arm);
             let all = table(
                 (&scene, &robot),
@@ -339,6 +340,42 @@ mod tests {
             assert_eq!(row.success_rate, 1.0, "{file}: {row:?}");
             assert_eq!((row.reflexes, row.limit_violations), (0, 0), "{file}");
             assert!(row.joint_shares[0] > 0.01, "{file}: {row:?}");
+        }
+    }
+
+    #[test]
+    fn arms_with_four_and_five_joints_arrive_from_what_they_reach() {
+        let common = Common {
+            strategies: vec!["foresight:3".parse().unwrap()],
+            ..defaults()
+        };
+        for file in ["five.toml", "scara.toml"] {
+            let scene = Scene::read(&crate::root().join("tests/scenes").join(file)).unwrap();
+            let described = scene.arm.as_ref().unwrap();
+            let robot = described::settings(described, &scene.goal);
+            let chain = arm::Arm::from(described).chain;
+            let starts = [0.1, 0.07, 0.05].map(|away| {
+                let mut q = arm::Joints::zeros();
+                let pairs = q.iter_mut().zip(&described.goal).enumerate();
+                pairs.for_each(|(k, (to, from))| *to = from + [away, -0.04][k % 2]);
+                let object = chain.pose(&q).inverse() * robot.base_from_object;
+                Pose {
+                    translation: object.translation.vector.into(),
+                    rotation: rotation_vector(&object.rotation).into(),
+                }
+            });
+            let all = table(
+                (&scene, &robot),
+                &starts,
+                None,
+                &defaults(),
+                &common,
+                &|| (),
+            );
+            let (name, runs) = all.unwrap().remove(0);
+            let row = row(&name, &runs, false);
+            assert_eq!(row.success_rate, 1.0, "{file}: {row:?}");
+            assert_eq!((row.reflexes, row.limit_violations), (0, 0), "{file}");
         }
     }
 }

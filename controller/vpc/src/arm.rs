@@ -11,7 +11,8 @@
 //! |---|---|---|
 //! | q | [`Posture::q`] | joint positions, rad or m |
 //! | g v <= b | `Bound` | a damper |
-//! | c = P (b - g v) | `clearance_px` | its clearance as the solver has it, px |
+//! | n v = 0 | `Dampers::still` | a direction in which fewer than six joints do not move the camera |
+//! | c = P (b - g v) | `Row` | its clearance as the solver has it, px |
 //! | P | `PX` | weight of a damper against a clearance in the image |
 
 use ::arm::{Arm, Bound, Dampers, JOINTS, Joints};
@@ -73,23 +74,51 @@ pub(crate) fn moved(
     Some(arm?.moved(q?, twist, elbow, seconds))
 }
 
-/// How far a command is within a damper, px; negative beyond it.
-pub(crate) fn clearance_px(bound: &Bound, twist: &Twist) -> f64 {
-    PX * bound.left(twist)
+/// The twist of a camera that is told to move at `twist` for `seconds`: less than that where the
+/// arm has fewer than six joints.
+pub(crate) fn carried(arm: Option<&Arm>, q: Option<&Joints>, twist: &Twist, seconds: f64) -> Twist {
+    let known = arm.zip(q);
+    known.map_or(*twist, |(arm, q)| arm.carried(q, twist, seconds))
 }
 
-/// The derivative of [`clearance_px`] by the command.
-pub(crate) fn slope(bound: &Bound) -> [f64; DOF] {
-    bound.gradient.map(|g| -PX * g)
+/// A row g v <= b of a command.
+pub(crate) struct Row {
+    gradient: [f64; DOF],
+    most: f64,
 }
 
-/// By how much a command is beyond its dampers, px: each.
+impl Row {
+    /// How far a command is within it, px; negative beyond it.
+    pub fn clearance_px(&self, twist: &Twist) -> f64 {
+        let pairs = self.gradient.iter().zip(twist);
+        PX * (self.most - pairs.map(|(g, v)| g * v).sum::<f64>())
+    }
+
+    /// The derivative of [`Row::clearance_px`] by the command.
+    pub fn slope(&self) -> [f64; DOF] {
+        self.gradient.map(|g| -PX * g)
+    }
+}
+
+/// The rows of a command: its dampers, and n v <= 0 and -n v <= 0 for each n.
+pub(crate) fn rows(dampers: &Dampers) -> impl Iterator<Item = Row> {
+    let damped = dampers.bounds.iter().map(|bound| Row {
+        gradient: bound.gradient,
+        most: bound.most,
+    });
+    let both = |n: &[f64; DOF]| [*n, n.map(|x| -x)];
+    let still = dampers.still.iter().flat_map(both);
+    let most = 0.0;
+    damped.chain(still.map(move |gradient| Row { gradient, most }))
+}
+
+/// By how much a command is beyond its rows, px: each.
 pub(crate) fn violations_px<'a>(
     dampers: Option<&'a Dampers>,
     twist: &'a Twist,
 ) -> impl Iterator<Item = f64> + 'a {
-    let bounds = dampers.into_iter().flat_map(|all| &all.bounds);
-    bounds.map(|bound| (-clearance_px(bound, twist)).max(0.0))
+    let rows = dampers.into_iter().flat_map(rows);
+    rows.map(|row| (-row.clearance_px(twist)).max(0.0))
 }
 
 /// What binds a command within these limits: the cause of the damper of which it leaves the least
@@ -107,8 +136,12 @@ pub(crate) fn cause(dampers: Option<&Dampers>, twist: &Twist, limits: &Twist) ->
     Some(least.1)
 }
 
-/// The part of a command that its dampers allow, its direction kept.
+/// The part of a command that its dampers allow, its direction kept as far as the joints go there.
 pub(crate) fn within(dampers: Option<&Dampers>, twist: &Twist) -> Twist {
-    let share = dampers.map_or(1.0, |dampers| dampers.share(twist));
-    twist.map(|v| share * v)
+    let Some(dampers) = dampers else {
+        return *twist;
+    };
+    let reached = dampers.reached(twist);
+    let share = dampers.share(&reached);
+    reached.map(|v| share * v)
 }

@@ -183,6 +183,9 @@ impl InitialState {
     /// not explain of the features stays with them. `None` if a point would be behind the camera or
     /// far outside any image.
     pub fn moved(&self, task: &Task, model: Model, twist: &Twist, seconds: f64) -> Option<Self> {
+        let (arm, joints) = (task.arm.as_ref(), self.q.as_ref());
+        let q = arm::moved(arm, joints, twist, self.elbow, seconds);
+        let twist = &arm::carried(arm, joints, twist, seconds);
         let drift = self.drift.after(0.5 * seconds).twist;
         let relative = core::array::from_fn(|k| twist[k] - drift[k]);
         let drift = match self.drift.is_none() {
@@ -192,13 +195,6 @@ impl InitialState {
                 self.drift.after(seconds).carried(&motion)
             }
         };
-        let q = arm::moved(
-            task.arm.as_ref(),
-            self.q.as_ref(),
-            twist,
-            self.elbow,
-            seconds,
-        );
         match &self.geometry {
             Geometry::Positions(before) => {
                 let motion = Motion::of_camera(&relative, seconds);

@@ -7,7 +7,7 @@ use crate::intersample::most_stretches;
 use crate::obstacle::Obstacle;
 use crate::qp::MAX_ROWS;
 use crate::task::Task;
-use crate::{MAX_NC, MAX_NP, arm};
+use crate::{DOF, MAX_NC, MAX_NP, arm};
 
 /// How large the problems of a solver are, and with them its workspace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,12 +39,12 @@ impl Size {
         // the way of the first command.
         let obstacles = task.obstacles().count();
         let dampers = task.arm.as_ref().map_or(0, |arm| {
-            let has_shapes = !arm.shapes.pairs.is_empty();
-            nc * if has_shapes {
-                MAX_BOUNDS
-            } else {
-                WITHOUT_SHAPES
-            }
+            let still = 2 * (DOF - arm.chain.count().min(DOF));
+            let bounds = match arm.shapes.pairs.is_empty() {
+                true => WITHOUT_SHAPES,
+                false => MAX_BOUNDS,
+            };
+            nc * (bounds + still)
         });
         let rows = dampers + (np + 1) * points * (SIDES + obstacles);
         Self {

@@ -339,21 +339,17 @@ impl<'w, const N: usize> Sqp<'w, N> {
             }
             rows.push(gradient, distance)
         };
-        for (bound, damper) in problem
-            .dampers
-            .into_iter()
-            .flat_map(|all| &all.bounds)
-            .enumerate()
-        {
-            let (commands, slope) = (plan.as_chunks::<DOF>().0, arm::slope(damper));
+        let of_arm = problem.dampers.into_iter().flat_map(arm::rows);
+        for (index, row) in of_arm.enumerate() {
+            let (commands, slope) = (plan.as_chunks::<DOF>().0, row.slope());
             for (command, twist) in commands.iter().enumerate() {
                 let gradient: [f64; N] = core::array::from_fn(|k| match k / DOF == command {
                     true => slope[k % DOF],
                     false => 0.0,
                 });
-                let distance = arm::clearance_px(damper, twist);
+                let distance = row.clearance_px(twist);
                 if distance < greatest(&gradient.map(|g| -g), bounds) {
-                    add(DAMPER, command, bound, distance, gradient);
+                    add(DAMPER, command, index, distance, gradient);
                 }
             }
         }

@@ -170,6 +170,44 @@ fn a_start_whose_way_ends_at_a_joint_arrives_where_the_law_knows_the_arm() {
 }
 
 #[test]
+fn arms_with_four_and_five_joints_arrive_where_the_law_knows_what_they_cannot_do() {
+    let tests = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests");
+    for file in ["five.toml", "scara.toml"] {
+        let mut scene = Scene::read(&tests.join("scenes").join(file)).unwrap();
+        let described = scene.arm.take().unwrap();
+        let arm = Arm::from(&described);
+        let mut at_goal = Joints::zeros();
+        let pairs = at_goal.iter_mut().zip(&described.goal);
+        pairs.for_each(|(to, from)| *to = *from);
+        let object = arm.chain.pose(&at_goal) * goal(&scene);
+        let arrivals = [Some(described), None].map(|told| {
+            scene.arm = told;
+            let mut random = ChaCha8Rng::seed_from_u64(7);
+            let mut law = law(&scene, Strategy::Foresight);
+            let mut drawn = || loop {
+                let q = Joints::from_fn(|k, _| match k < arm.chain.count() {
+                    true => at_goal[k] + random.random_range(-0.4..0.4),
+                    false => 0.0,
+                });
+                let points = seen(&scene, &(arm.chain.pose(&q).inverse() * object));
+                let is_inside =
+                    |p: &[f64; 2]| (20.0..620.0).contains(&p[0]) && (20.0..380.0).contains(&p[1]);
+                if points.is_some_and(|points| points.iter().all(is_inside)) {
+                    return q;
+                }
+            };
+            let arrives = |_: &usize| {
+                law.reset();
+                arrives(&mut law, &scene, &arm, &object, drawn(), 20.0)
+            };
+            (0..12).filter(arrives).count()
+        });
+        assert_eq!(arrivals[0], 12, "{file}");
+        assert!(arrivals[1] < 12, "{file}");
+    }
+}
+
+#[test]
 fn a_path_in_the_joints_leads_out_of_corners() {
     let (arm, scene) = (panda(), scene(true));
     let mut law = law(&scene, Strategy::Foresight);
@@ -251,7 +289,7 @@ fn arrives(
         let Some(points) = seen(scene, &(arm.chain.pose(&q).inverse() * object)) else {
             return false;
         };
-        law.see_joints(q.as_slice(), now_ns);
+        law.see_joints(&q.as_slice()[..arm.chain.count()], now_ns);
         let measured = Measurement::from_points(&points).taken(now_ns, now_ns);
         let Ok(step) = law.step(&measured, None) else {
             return false;

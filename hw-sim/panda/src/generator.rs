@@ -101,8 +101,9 @@ impl Generator {
 pub struct CartesianGenerator {
     limits: &'static Limits,
     ik: VelocityIk,
-    /// The integral of commands: where the end effector's origin is to be, m, and its orientation,
-    /// which is held as a quaternion because its length is cheaply kept.
+    /// The integral of commands, as far as the joints can do them: where the end effector's origin
+    /// is to be, m, and its orientation, which is held as a quaternion because its length is cheaply
+    /// kept.
     position: Vector3<f64>,
     orientation: UnitQuaternion<f64>,
     twist: Twist,
@@ -140,6 +141,11 @@ impl CartesianGenerator {
         )
     }
 
+    fn be_at(&mut self, pose: &Pose) {
+        self.position = pose.translation.vector;
+        self.orientation = UnitQuaternion::from_rotation_matrix(&pose.rotation);
+    }
+
     fn advance(&mut self, twist: &Twist, from: &Setpoint) -> (Setpoint, Errors) {
         let acceleration = (twist - self.twist) / PERIOD;
         let jerk = (acceleration - self.acceleration) / PERIOD;
@@ -148,10 +154,16 @@ impl CartesianGenerator {
         let desired = from.after(&self.ik.step(from, twist, &middle));
         let joints = self.limits.joints(from, &desired);
 
-        let (linear, angular) = split(twist);
-        self.position += linear * PERIOD;
-        self.orientation = UnitQuaternion::new(angular * PERIOD) * self.orientation;
-        self.orientation.renormalize_fast();
+        match self.ik.pose_of_few(&desired.q) {
+            // No joints could follow the integral for long.
+            Some(pose) => self.be_at(&pose),
+            None => {
+                let (linear, angular) = split(twist);
+                self.position += linear * PERIOD;
+                self.orientation = UnitQuaternion::new(angular * PERIOD) * self.orientation;
+                self.orientation.renormalize_fast();
+            }
+        }
         (self.twist, self.acceleration) = (*twist, acceleration);
         let commanded = COMMANDED.into_iter().zip(commanded.each());
         let joints = OF_CARTESIAN.into_iter().zip(joints.each());

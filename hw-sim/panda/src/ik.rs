@@ -2,11 +2,12 @@
 //!
 //! Damped least squares for the six dimensions of the task; the seventh is the elbow's, which stays
 //! at the position of joint 3 that the motion began with, unless a joint comes near the end of its
-//! range. Source: A. Maciejewski and C. Klein, "Numerical filtering for the operation of robotic
+//! range. An arm with fewer than six joints does the nearest that it can, a radian counting as a
+//! metre. Source: A. Maciejewski and C. Klein, "Numerical filtering for the operation of robotic
 //! manipulators ...", J. Robotic Systems 5(6), 1988 (damping); Y. Nakamura, "Advanced Robotics"
 //! (null space). The real robot's inverse kinematics is not published.
 
-use nalgebra::{Cholesky, Const, Matrix6};
+use nalgebra::{Cholesky, Const, Matrix6, SMatrix};
 
 use crate::brake::approach;
 use crate::kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, Twist, difference, split};
@@ -14,8 +15,12 @@ use crate::limits::{Limits, PERIOD, Setpoint};
 
 /// Manipulability sqrt(det(J J^T)) under which damping sets in, m^3; 0.08 in the ready position.
 const SINGULAR: f64 = 0.01;
+/// The same of fewer than six joints: sqrt(det(J^T J)), lengths as shares of the longest lever.
+const SINGULAR_OF_FEW: f64 = 0.02;
 /// The damping in a singularity, mixed units of the Jacobian.
 const DAMPING: f64 = 0.05;
+/// The least damping of fewer than six joints.
+pub(crate) const LEAST_DAMPING: f64 = 1e-4;
 /// Rate at which the pose of the desired joints is drawn to the integral of commands, 1/s.
 const FEEDBACK: f64 = 20.0;
 /// The most that this may add, m/s and rad/s: enough for rounding and curvature, too little to race
@@ -72,6 +77,11 @@ impl VelocityIk {
         ik
     }
 
+    /// Where fewer than six joints have the end effector; `None` for six or more.
+    pub fn pose_of_few(&self, q: &Joints) -> Option<Pose> {
+        (self.chain.count() < 6).then(|| self.chain.pose(q))
+    }
+
     /// Joint 3 is to be there after the next period, rad.
     pub fn turn_elbow(&mut self, elbow: f64) {
         self.elbow_rate = (elbow - self.elbow) / PERIOD;
@@ -86,8 +96,11 @@ impl VelocityIk {
         let posture = self.chain.posture(&q);
         let wanted = twist + feedback(&difference(reference, &posture.pose));
         let system = System::new(&posture.jacobian);
-        self.turn_free(&system);
         let task = system.solve(&wanted);
+        if self.chain.count() < JOINTS {
+            return task;
+        }
+        self.turn_free(&system);
         let target = self.elbow_speed(&q, task[2]);
         self.elbow_rate = 0.0;
         (self.speed, self.acceleration) =
@@ -150,13 +163,19 @@ struct System<'a> {
 impl<'a> System<'a> {
     fn new(jacobian: &'a Jacobian) -> Self {
         let square = jacobian * jacobian.transpose();
-        let factor = Cholesky::new(square);
-        let measure = factor.as_ref().map_or(0.0, manipulability);
-        if measure >= SINGULAR {
-            return Self { jacobian, factor };
-        }
-        let share = 1.0 - measure / SINGULAR;
-        let damping = (DAMPING * share).powi(2);
+        let measure = manipulability(jacobian);
+        let damping = match has_few_joints(jacobian) {
+            false if measure >= SINGULAR => {
+                let factor = Cholesky::new(square);
+                return Self { jacobian, factor };
+            }
+            false => DAMPING * (1.0 - measure / SINGULAR),
+            true => {
+                let share = (1.0 - measure / SINGULAR_OF_FEW).max(0.0);
+                (DAMPING * share * lever(jacobian)).max(LEAST_DAMPING)
+            }
+        };
+        let damping = damping.powi(2);
         Self {
             jacobian,
             // Positive definite by the damping; `None` only for a Jacobian that is not finite.
@@ -179,9 +198,33 @@ impl<'a> System<'a> {
     }
 }
 
-/// sqrt(det(J J^T)), m^3, from its Cholesky factor.
-pub(crate) fn manipulability(factor: &Cholesky<f64, Const<6>>) -> f64 {
-    factor.l_dirty().diagonal().product()
+/// sqrt(det(J J^T)), m^3; of fewer than six joints sqrt(det(J^T J)), lengths as shares of the
+/// longest lever.
+pub(crate) fn manipulability(jacobian: &Jacobian) -> f64 {
+    if !has_few_joints(jacobian) {
+        let factor = Cholesky::new(jacobian * jacobian.transpose());
+        return factor.map_or(0.0, |f| f.l_dirty().diagonal().product());
+    }
+    let mut shares = *jacobian;
+    let mut linear = shares.fixed_rows_mut::<3>(0);
+    linear /= lever(jacobian);
+    let square = shares.transpose() * shares;
+    let missing = square.diagonal().map(|x| f64::from(x == 0.0));
+    let factor = Cholesky::new(square + SMatrix::from_diagonal(&missing));
+    factor.map_or(0.0, |f| f.l_dirty().diagonal().product())
+}
+
+/// The longest lever at which a joint moves the end effector, m; 1 of a joint that slides.
+fn lever(jacobian: &Jacobian) -> f64 {
+    let levers = jacobian
+        .column_iter()
+        .map(|column| column.fixed_rows::<3>(0).norm());
+    levers.fold(0.0, f64::max)
+}
+
+/// Whether the arm has fewer than six joints: its J J^T is singular.
+pub(crate) fn has_few_joints(jacobian: &Jacobian) -> bool {
+    jacobian.column(5).amax() == 0.0
 }
 
 #[cfg(test)]

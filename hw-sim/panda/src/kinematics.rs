@@ -95,7 +95,7 @@ impl Frame {
 pub struct Frames {
     /// Of its joints; those of joints that it does not have mean nothing.
     pub joints: [Frame; JOINTS],
-    /// How many joints it has, 6 or 7.
+    /// How many joints it has, 4 to 7.
     pub count: usize,
     /// The flange in the frame of the last joint.
     pub flange: Pose,

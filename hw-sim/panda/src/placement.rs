@@ -9,7 +9,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use nalgebra::{Cholesky, Matrix6, Rotation3};
 use thiserror::Error;
 
-use crate::ik::{ELBOW_FADE, manipulability};
+use crate::ik::{ELBOW_FADE, LEAST_DAMPING, has_few_joints, manipulability};
 use crate::kinematics::{Chain, JOINTS, Joints, Pose, READY, difference, rotation_vector};
 use crate::limits::Limits;
 
@@ -218,9 +218,13 @@ fn descend(chain: &Chain, limits: &Limits, wanted: &Pose, mut q: Joints) -> (Joi
         let next = inside(&(q + step), limits);
         let next_posture = chain.posture(&next);
         let next_error = difference(wanted, &next_posture.pose);
+        let least = match has_few_joints(j) {
+            true => LEAST_DAMPING.powi(2),
+            false => 1e-14,
+        };
         if next_error.norm() < error.norm() {
             (q, posture, error) = (next, next_posture, next_error);
-            damping = (damping * 0.1).max(1e-14);
+            damping = (damping * 0.1).max(least);
         } else {
             damping = (damping * 10.0).min(1.0);
         }
@@ -235,9 +239,7 @@ fn score(chain: &Chain, limits: &Limits, q: &Joints) -> f64 {
         2.0 * (q[k] - b.lower).min(b.upper - q[k]) / (b.upper - b.lower)
     };
     let tightest = (0..JOINTS).map(room).fold(f64::INFINITY, f64::min);
-    let jacobian = chain.posture(q).jacobian;
-    let measure = Cholesky::new(jacobian * jacobian.transpose());
-    tightest * measure.as_ref().map_or(0.0, manipulability)
+    tightest * manipulability(&chain.posture(q).jacobian)
 }
 
 #[cfg(test)]

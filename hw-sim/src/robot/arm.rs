@@ -17,7 +17,7 @@ use super::inspector::Inspector;
 use super::truth::Truth;
 use crate::pose::{RigidPose, from_scene};
 
-/// Where the pattern lies in the robot's base: 0.5 m in front of it, 5 cm above its foot, facing
+/// Where the pattern lies in the robot's base, but for a robot whose arm file tells it: 0.5 m in front of it, 5 cm above its foot, facing
 /// up; its x axis points to the robot's right, its y axis towards the robot.
 pub fn base_from_object() -> Pose {
     let axes = Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
@@ -41,6 +41,8 @@ pub struct ArmSettings {
     pub robot: RobotSettings,
     /// Whether clients of the vendor's interface command it, instead of the bridge.
     pub fci: Option<FciSettings>,
+    /// Where the pattern lies in the robot's base.
+    pub base_from_object: Pose,
     /// Joint positions in which it stands at the start; `None`: it is placed as far from the ends
     /// of the joints' ranges as can be.
     pub joints: Option<Joints>,
@@ -52,7 +54,7 @@ impl ArmSettings {
     fn wanted(&self, start: &scene::Pose) -> (Chain, Pose) {
         let believed = self.hand_eye.flange_from_camera();
         let flange_from_camera = self.truth.flange_from_camera(&believed);
-        let camera = base_from_object() * from_scene(&self.truth.start(start)).inverse();
+        let camera = self.base_from_object * from_scene(&self.truth.start(start)).inverse();
         let flange_from_ee = self.robot.flange_from_ee();
         let wanted = camera * flange_from_camera.inverse() * flange_from_ee;
         (self.robot.model.chain(flange_from_ee), wanted)
@@ -78,6 +80,7 @@ impl Default for ArmSettings {
             is_shaped: true,
             robot: RobotSettings::with_hand(),
             fci: None,
+            base_from_object: base_from_object(),
             joints: None,
         }
     }
@@ -159,7 +162,7 @@ impl Arm {
             bridge: bridge(robot, believed, ramps)?,
             caps: Caps::axes(scene.limits.velocity()),
             flange_from_camera: settings.truth.flange_from_camera(&believed),
-            base_from_object: base_from_object(),
+            base_from_object: settings.base_from_object,
         })
     }
 

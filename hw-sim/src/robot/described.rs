@@ -2,15 +2,18 @@
 
 use nalgebra::{Matrix3, Rotation3, RowVector3, Translation3, Vector3};
 use panda::kinematics::{Frame, Frames};
-use panda::{Described, JOINTS, Limits, Model, Pose, RobotSettings};
+use panda::{Chain, Described, JOINTS, Joints, Limits, Model, Pose, RobotSettings};
 
-use super::arm::ArmSettings;
+use super::arm::{ArmSettings, base_from_object};
 use super::calibration::HandEye;
+use crate::pose::from_scene;
 
-/// Settings of a robot that an arm file describes; its flange is where the file has the camera.
+/// Settings of a robot that an arm file describes; its flange is where the file has the camera. The
+/// pattern lies where the camera sees it at `goal` with the joints at the file's `goal`, if it tells
+/// them.
 ///
 /// The description lives as long as the process: call this once.
-pub fn settings(arm: &scene::Arm) -> ArmSettings {
+pub fn settings(arm: &scene::Arm, goal: &scene::Pose) -> ArmSettings {
     let rows = arm.rotation.map(RowVector3::from);
     let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_rows(&rows));
     let camera = Pose::from_parts(Translation3::from(arm.translation), rotation);
@@ -48,10 +51,23 @@ pub fn settings(arm: &scene::Arm) -> ArmSettings {
         limits: Limits::of_joints(limits),
     };
     let end_effector = camera.inverse() * nalgebra::Point3::from(arm.end_effector);
+    let described: &'static Described = Box::leak(Box::new(described));
+    let base_from_object = match arm.goal.is_empty() {
+        true => base_from_object(),
+        false => {
+            let mut q = Joints::zeros();
+            q.iter_mut()
+                .zip(&arm.goal)
+                .for_each(|(to, from)| *to = *from);
+            let camera = Chain::of(&described.frames, Pose::identity()).pose(&q);
+            camera * from_scene(goal)
+        }
+    };
     ArmSettings {
+        base_from_object,
         hand_eye: HandEye::NONE,
         robot: RobotSettings {
-            model: Model::Other(Box::leak(Box::new(described))),
+            model: Model::Other(described),
             flange_from_ne: Translation3::from(end_effector.coords).into(),
             ..RobotSettings::default()
         },
@@ -63,16 +79,21 @@ pub fn settings(arm: &scene::Arm) -> ArmSettings {
 mod tests {
     use std::path::Path;
 
-    use panda::{Command, Flag, Joints, Mode, Motion, MotionKind, Robot};
+    use panda::{Command, Flag, Mode, Motion, MotionKind, Robot};
     use scene::Scene;
 
     use super::*;
     use crate::cell::Cell;
     use crate::rig::{Rig, RigSettings};
 
+    fn scene() -> Scene {
+        Scene::parse(scene::PAPER_ROBOT, "robot").unwrap()
+    }
+
     fn ur5e() -> ArmSettings {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
-        settings(&scene::Arm::read(&root.join("tests/arms/ur5e.toml")).unwrap())
+        let arm = scene::Arm::read(&root.join("tests/arms/ur5e.toml")).unwrap();
+        settings(&arm, &scene().goal)
     }
 
     /// The errors of a UR5e whose joint 3, at this position, is commanded to gain so much speed in
@@ -135,7 +156,7 @@ mod tests {
 
     #[test]
     fn it_carries_the_camera_to_a_start_and_tells_of_six_joints() {
-        let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();
+        let scene = scene();
         let mut settings = RigSettings::new(&scene);
         settings.arm = ur5e();
         let rig = Rig::new(&scene, &scene.goal, &settings).unwrap();

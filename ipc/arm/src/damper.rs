@@ -9,6 +9,9 @@
 //! | h(q) | | what is left: to the end of a range, to what is near, of the acceleration |
 //! | g v <= b | [`Bound`] | -dh/dt is no greater than what is left allows |
 //!
+//! An arm with fewer than six joints moves the camera in as many directions only; of the others
+//! [`Dampers::still`] has a basis, n v = 0.
+//!
 //! Every b is at least 0, so that standing still is always allowed, and with a twist each shorter
 //! one. A motion that keeps to all bounds leaves no range that it is in.
 //!
@@ -19,12 +22,12 @@
 //! Source: B. Faverjon and P. Tournassoud, "A local based approach for path planning of
 //! manipulators with a high number of degrees of freedom", ICRA 1987.
 
-use nalgebra::{Matrix6, RowSVector, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix6, RowSVector, RowVector6, SMatrix, SVector, Vector3};
 
 use crate::collision::MAX_ROWS;
 use crate::description::{Arm, MAX_POINTS, MAX_WALLS, Pair};
 use crate::elbow;
-use crate::ik::{self, Inverse, held, inverse, square};
+use crate::ik::{self, Inverse, held, inverse, reaches_all, square};
 use crate::kinematics::{JOINTS, Jacobian, Joints, Pose, Twist};
 use crate::reserve::nearing;
 use crate::singularity;
@@ -51,6 +54,8 @@ const SLOW: f64 = 0.01;
 pub const MAX_BOUNDS: usize = WITHOUT_SHAPES + MAX_ROWS;
 /// Most bounds of an arm whose links have no shapes.
 pub const WITHOUT_SHAPES: usize = 3 * JOINTS + MAX_WALLS * MAX_POINTS;
+/// Most directions in which an arm does not move its camera: it has four joints at least.
+pub const MAX_STILL: usize = 2;
 
 /// What bounds a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -155,6 +160,9 @@ pub struct Dampers {
     pub ramps: f64,
     /// All bounds.
     pub bounds: heapless::Vec<Bound, MAX_BOUNDS>,
+    /// The directions in which the arm does not move its camera, orthonormal, along camera axes;
+    /// none for six joints or more.
+    pub still: heapless::Vec<[f64; 6], MAX_STILL>,
 }
 
 impl Dampers {
@@ -282,7 +290,20 @@ impl Dampers {
             wanted,
             ramps,
             bounds,
+            still: still(arm.chain.count(), &jacobian, &along),
         }
+    }
+
+    /// What of a camera's velocity the joints can do.
+    #[must_use]
+    pub fn reached(&self, twist: &[f64; 6]) -> [f64; 6] {
+        let mut reached = *twist;
+        for direction in &self.still {
+            let part: f64 = direction.iter().zip(twist).map(|(n, v)| n * v).sum();
+            let pairs = reached.iter_mut().zip(direction);
+            pairs.for_each(|(v, n)| *v -= part * n);
+        }
+        reached
     }
 
     /// How much of a camera's velocity they allow, 0 to 1.
@@ -323,6 +344,48 @@ impl Arm {
         let middle = q + velocities(q) * (0.5 * seconds);
         q + velocities(&middle) * seconds
     }
+
+    /// The velocity that a camera takes in the mean, along its axes, as it is told to move at `twist`
+    /// for so long: `twist`, but for an arm with fewer than six joints.
+    pub fn carried(&self, q: &Joints, twist: &[f64; 6], seconds: f64) -> [f64; 6] {
+        if self.chain.count() >= 6 {
+            return *twist;
+        }
+        let middle = self.moved(q, twist, 0.0, 0.5 * seconds);
+        let (camera, jacobian) = self.chain.at(&middle);
+        let along = along_camera(&camera);
+        let joints = inverse(&jacobian) * (along * Twist::from(*twist));
+        (along.transpose() * (jacobian * joints)).into()
+    }
+}
+
+/// Orthonormal directions along camera axes in which so many joints do not move the camera.
+fn still(
+    count: usize,
+    jacobian: &Jacobian,
+    along: &Matrix6<f64>,
+) -> heapless::Vec<[f64; 6], MAX_STILL> {
+    let mut basis = heapless::Vec::new();
+    if reaches_all(jacobian) {
+        return basis;
+    }
+    // What is left of each axis beside all that the joints do.
+    let moved = along.transpose() * jacobian;
+    let reached = moved * moved.transpose() * square(&moved).unwrap_or_default();
+    let mut left = Matrix6::identity() - reached;
+    for _ in count..6 {
+        let longest = left.row_iter().map(|row| row.norm_squared());
+        let longest = longest.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((k, square)) = longest.filter(|(_, square)| square.is_finite()) else {
+            break;
+        };
+        let row: RowVector6<f64> = left.row(k) / libm::sqrt(square);
+        left -= left * row.transpose() * row;
+        if basis.push(row.transpose().into()).is_err() {
+            break;
+        }
+    }
+    basis
 }
 
 /// The greatest speed towards what is `left` away, and not to be used up in less than `least_s`.
@@ -509,6 +572,67 @@ mod tests {
                     let change = at(&(q + step)).shares[joint] - at(&(q - step)).shares[joint];
                     let apart = exact[k] - change / 2e-6;
                     assert!(apart.abs() < 1e-5, "{joint}, {k}: {apart}");
+                }
+            }
+        }
+    }
+
+    /// An arm of so many joints: the first ones of a Panda.
+    fn of_few(count: usize) -> Arm {
+        let all = Chain::FRANKA.screws();
+        let end = Pose::from_parts(
+            Translation3::new(0.3, 0.1, 0.8),
+            Rotation3::new(Vector3::new(0.3, -0.2, 0.5)),
+        );
+        let chain = Chain::new(&all[..count], end);
+        Arm {
+            chain,
+            shaped: chain,
+            ..arm()
+        }
+    }
+
+    #[test]
+    fn fewer_than_six_joints_do_what_they_can_and_the_camera_goes_where_they_lead() {
+        let mut random = ChaCha8Rng::seed_from_u64(6);
+        for (count, directions) in [(4, 2), (5, 1), (6, 0), (7, 0)] {
+            let arm = match count {
+                7 => arm(),
+                _ => of_few(count),
+            };
+            for _ in 0..50 {
+                let q = Joints::from_fn(|k, _| match k < count {
+                    true => READY[k] + random.random_range(-0.5..0.5),
+                    false => 0.0,
+                });
+                let twist: [f64; 6] = core::array::from_fn(|_| random.random_range(-0.1..0.1));
+                let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, 0.0);
+                assert_eq!(dampers.still.len(), directions);
+                let Some(reached) = Some(dampers.reached(&twist)).filter(|_| count < 6) else {
+                    assert_eq!(dampers.reached(&twist), twist);
+                    assert_eq!(arm.carried(&q, &twist, 0.1), twist);
+                    continue;
+                };
+                // No direction that stands is one in which a joint moves the camera.
+                let (camera, jacobian) = arm.chain.at(&q);
+                let moves = along_camera(&camera).transpose() * jacobian;
+                for n in &dampers.still {
+                    let n = RowSVector::from(*n);
+                    assert!((n.norm() - 1.0).abs() < 1e-6 && (n * moves).norm() < 1e-6);
+                }
+                // What the joints can do, they do; the rest stands at right angles to it.
+                let again = moves * dampers.joints(&reached);
+                let apart = again - SVector::from(reached);
+                assert!(apart.norm() < 1e-6, "{count} {apart}");
+                // The camera's motion in the mean of a while is that of the joints.
+                let h = 1e-4;
+                let carried = arm.carried(&q, &twist, h);
+                let after = arm.chain.pose(&arm.moved(&q, &twist, 0.0, h));
+                let went = camera.inverse() * after;
+                let turned = went.rotation.scaled_axis();
+                for k in 0..3 {
+                    assert!((went.translation.vector[k] / h - carried[k]).abs() < 1e-4);
+                    assert!((turned[k] / h - carried[k + 3]).abs() < 1e-4);
                 }
             }
         }

@@ -2,7 +2,8 @@
 //!
 //! Damped least squares for the six dimensions of the task; the seventh is the elbow's, which stays
 //! at the position of joint 3 that the motion began with, unless a joint comes near the end of its
-//! range. Source: A. Maciejewski and C. Klein, "Numerical filtering for the operation of robotic
+//! range. An arm with fewer than six joints does the nearest that it can, a radian counting as a
+//! metre. Source: A. Maciejewski and C. Klein, "Numerical filtering for the operation of robotic
 //! manipulators ...", J. Robotic Systems 5(6), 1988 (damping); A. Liegeois, "Automatic supervisory
 //! control of the configuration and behavior of multibody mechanisms", IEEE SMC 7(12), 1977 (null
 //! space).
@@ -15,6 +16,8 @@ use crate::ramp::Ramp;
 
 /// Manipulability sqrt(det(J J^T)) under which damping sets in, m^3; 0.08 in the ready position.
 const SINGULAR: f64 = 0.01;
+/// The same of fewer than six joints: sqrt(det(J^T J)), lengths as shares of the longest lever.
+const SINGULAR_OF_FEW: f64 = 0.02;
 /// The damping in a singularity, mixed units of the Jacobian.
 const DAMPING: f64 = 0.05;
 /// What keeps J J^T from being singular, its unit.
@@ -43,6 +46,9 @@ const ELBOW_RAMP: Ramp = Ramp {
 const LONGEST: f64 = 0.3;
 /// A posture is found where it misses the pose by less, m and rad together.
 const FOUND: f64 = 1e-9;
+/// So far off may be the nearest posture of fewer than six joints, m and rad together: what a
+/// camera's picture leaves unsure.
+const NEAR: f64 = 0.03;
 
 /// From the velocity of the end effector (base axes) to the least velocities of the joints.
 pub type Inverse = SMatrix<f64, JOINTS, 6>;
@@ -56,8 +62,18 @@ pub fn inverse(jacobian: &Jacobian) -> Inverse {
 /// (J J^T + damping)^-1; `None` for a Jacobian that is not finite.
 fn damped_square(jacobian: &Jacobian) -> Option<Matrix6<f64>> {
     let square = jacobian * jacobian.transpose();
-    let damping = damping(measure(&square));
-    inverted(&square, damping * damping)
+    if reaches_all(jacobian) {
+        let damping = damping(measure(&square) / SINGULAR);
+        return inverted(&square, damping * damping);
+    }
+    let lever = lever(jacobian);
+    let damping = lever * damping(measure_of_few(jacobian, lever) / SINGULAR_OF_FEW);
+    inverted(&square, (damping * damping).max(ROUNDING))
+}
+
+/// Whether an arm has six joints or more, so that its end effector moves in every direction.
+pub(crate) fn reaches_all(jacobian: &Jacobian) -> bool {
+    jacobian.column(5).amax() > 0.0
 }
 
 /// (J J^T)^-1, but for rounding; `None` for a Jacobian that is not finite.
@@ -74,9 +90,31 @@ fn measure(square: &Matrix6<f64>) -> f64 {
     Cholesky::new(*square).map_or(0.0, |f| f.l_dirty().diagonal().product())
 }
 
-/// The damping at this manipulability.
-fn damping(measure: f64) -> f64 {
-    (1.0 - measure / SINGULAR).max(0.0) * DAMPING
+/// The longest lever at which a joint moves the end effector, m; 1 of a joint that slides.
+fn lever(jacobian: &Jacobian) -> f64 {
+    let levers = jacobian
+        .column_iter()
+        .map(|column| column.fixed_rows::<3>(0).norm());
+    levers.fold(0.0, f64::max)
+}
+
+/// Manipulability of fewer than six joints, lengths as shares of this one.
+fn measure_of_few(jacobian: &Jacobian, lever: f64) -> f64 {
+    let mut jacobian = *jacobian;
+    jacobian.fixed_rows_mut::<3>(0).unscale_mut(lever);
+    let mut square = jacobian.transpose() * jacobian;
+    for k in 0..JOINTS {
+        // The arm does not have this joint.
+        if square[(k, k)] == 0.0 {
+            square[(k, k)] = 1.0;
+        }
+    }
+    Cholesky::new(square).map_or(0.0, |f| f.l_dirty().diagonal().product())
+}
+
+/// The damping at this share of the manipulability under which it sets in.
+fn damping(share: f64) -> f64 {
+    (1.0 - share).max(0.0) * DAMPING
 }
 
 /// The velocities of seven joints with which joint 3, the elbow, turns at 1 rad/s while the end
@@ -95,7 +133,8 @@ pub fn held(inverse: &Inverse, elbow: &Joints) -> Inverse {
 }
 
 /// A posture that brings the end of a chain to a pose, by at most so many Newton steps from `q`,
-/// and how many it took; with the elbow held, joint 3 stays. `None` if the steps find none.
+/// and how many it took; with the elbow held, joint 3 stays. Fewer than six joints bring it as near
+/// as they can. `None` if the steps find none.
 pub fn posture(
     chain: &Chain,
     mut q: Joints,
@@ -117,6 +156,10 @@ pub fn posture(
             jacobian.column_mut(ELBOW).fill(0.0);
         }
         let step = inverse(&jacobian) * error;
+        let is_nearest = error.norm() < NEAR && step.amax() < FOUND;
+        if is_nearest && !reaches_all(&jacobian) {
+            return (Some(q), taken);
+        }
         q += step * (LONGEST / step.amax()).min(1.0);
     }
     (None, steps)

@@ -116,6 +116,12 @@ impl Chain {
         }
     }
 
+    /// Its joints.
+    #[cfg(test)]
+    pub(crate) fn screws(&self) -> &[Screw] {
+        &self.screws[..self.count]
+    }
+
     /// How many joints it has; further entries of [`Joints`] mean nothing.
     pub fn count(&self) -> usize {
         self.count

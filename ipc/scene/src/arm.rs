@@ -16,8 +16,8 @@ use crate::model::{Arm, ArmJoint, MAX_BOXES, MAX_JOINTS, MAX_WALL_POINTS, MAX_WA
 const MOST_ORIGIN: f64 = 1e3;
 /// Deepest nesting of a URDF's elements: the library recurses.
 const MOST_DEPTH: usize = 100;
-/// Fewest joints of an arm: with fewer the camera does not move in every direction.
-const FEWEST: usize = 6;
+/// Fewest joints of an arm.
+const FEWEST: usize = 4;
 
 /// The arm that carries the camera. A scene names this file by its key `arm`; the law then keeps
 /// joints within their ranges and speeds, off singular postures, points of the arm behind walls,
@@ -32,7 +32,7 @@ struct Tables {
     /// Link that does not move; walls are in its frame.
     #[schemars(extend("x-allowed" = "a link of the URDF"))]
     base: String,
-    /// Link that carries the camera, 6 or 7 movable joints from the base.
+    /// Link that carries the camera, 4 to 7 movable joints from the base.
     #[schemars(extend("x-allowed" = "a link of the URDF"))]
     tip: String,
     /// Greatest acceleration of each joint, which a URDF does not give.

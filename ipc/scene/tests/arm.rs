@@ -168,8 +168,8 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
             vec!["cell/a.toml: tip = hand", "panda_link8"],
         ),
         (
-            arm("tip = \"panda_link8\"", "tip = \"panda_link5\""),
-            vec!["5 movable", "6 to 7"],
+            arm("tip = \"panda_link8\"", "tip = \"panda_link3\""),
+            vec!["3 movable", "4 to 7"],
         ),
         (
             arm("base = \"panda_link0\"", "base = \"panda_link8\""),

@@ -57,15 +57,38 @@ impl Reach {
         self.base_from_object * rigid(start).inverse()
     }
 
-    /// Whether the camera can be where it sees the object at this pose: on a straight way there,
-    /// at an even turn, no joint comes into the margin of its range, no point behind a wall, no
-    /// link into its clearance, and the arm near no singular posture.
-    pub fn includes(&self, start: &Pose) -> bool {
-        self.includes_camera(&self.camera(start))
+    /// The start, if the camera can be where it sees the object at this pose: on a straight way
+    /// there, at an even turn, no joint comes into the margin of its range, no point behind a wall,
+    /// no link into its clearance, and the arm near no singular posture. Of an arm with fewer than
+    /// six joints, the nearest that such a way leads to.
+    pub fn nearest(&self, start: &Pose) -> Option<Pose> {
+        let wanted = self.camera(start);
+        let q = self.way(&wanted)?;
+        if !self.has_few_joints() {
+            return self.is_near(&q, &wanted, 6).then_some(*start);
+        }
+        let object = self.arm.chain.pose(&q).inverse() * self.base_from_object;
+        let turn = UnitQuaternion::from_rotation_matrix(&object.rotation);
+        Some(Pose {
+            translation: object.translation.vector.into(),
+            rotation: turn.scaled_axis().into(),
+        })
     }
 
-    /// The same of a pose of the camera in the base.
+    /// Whether such a way leads the camera to a pose in the base; with fewer than six joints to its
+    /// place alone.
     pub fn includes_camera(&self, wanted: &arm::Pose) -> bool {
+        let numbers = if self.has_few_joints() { 3 } else { 6 };
+        let end = self.way(wanted);
+        end.is_some_and(|q| self.is_near(&q, wanted, numbers))
+    }
+
+    fn has_few_joints(&self) -> bool {
+        self.arm.chain.count() < 6
+    }
+
+    /// The joints at the end of a straight way of the camera, if all of it is allowed.
+    fn way(&self, wanted: &arm::Pose) -> Option<Joints> {
         let mut q = self.goal;
         for left in (1..=STEPS).rev() {
             let step = self.to(&q, wanted).map(|x| x / f64::from(left));
@@ -73,10 +96,16 @@ impl Reach {
             let dampers = Dampers::at(&self.arm, &q, &self.accelerations, self.period_s);
             // Where nothing is left, nothing is allowed.
             if dampers.bounds.iter().any(|bound| bound.most <= 0.0) {
-                return false;
+                return None;
             }
         }
-        self.to(&q, wanted).iter().all(|x| x.abs() < NEAR)
+        Some(q)
+    }
+
+    /// Whether so many numbers of a pose, of its place first, are met.
+    fn is_near(&self, q: &Joints, wanted: &arm::Pose, numbers: usize) -> bool {
+        let way = self.to(q, wanted);
+        way.iter().take(numbers).all(|x| x.abs() < NEAR)
     }
 
     /// The camera's motion to a pose, along its axes, m and rad.
@@ -131,7 +160,7 @@ mod tests {
     fn an_arm_reaches_what_is_near_and_neither_beyond_its_range_nor_below_a_table() {
         let scene = scene(0.2);
         let reach = Reach::of(&scene).unwrap();
-        let includes = |way, roll| reach.includes(&moved(&scene, way, roll));
+        let includes = |way, roll| reach.nearest(&moved(&scene, way, roll)).is_some();
         assert!(includes([0.0; 3], 0.0));
         assert!(includes([0.1, 0.05, -0.1], 0.4));
         let near = (1..200).map(|k| [0.1, 0.02, -0.05].map(|x| x * f64::from(k) / 200.0));
@@ -144,8 +173,8 @@ mod tests {
         // The camera is some 0.55 m up, and looks down.
         let high = self::scene(0.4);
         let below = moved(&high, [0.0, 0.0, 0.2], 0.0);
-        assert!(reach.includes(&below));
-        assert!(!Reach::of(&high).unwrap().includes(&below));
+        assert_eq!(reach.nearest(&below), Some(below));
+        assert_eq!(Reach::of(&high).unwrap().nearest(&below), None);
     }
 
     #[test]

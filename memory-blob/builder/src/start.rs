@@ -77,15 +77,21 @@ pub fn valid(
     rng: &mut ChaCha8Rng,
 ) -> Result<Pose, NoStart> {
     let reach = Reach::of(scene);
-    let is_reached = |pose: &Pose| reach.as_ref().is_none_or(|reach| reach.includes(pose));
+    let is_fit =
+        |pose: &Pose| inside(scene, pose) && features_if_valid(scene, task, pose).is_some();
     for _ in 0..MAX_DRAWS {
         let pose = match near {
             Some(mixture) => pose_of(mixture.sample(rng)),
             None => draw(scene, rng),
         };
-        let is_seen = || features_if_valid(scene, task, &pose).is_some();
-        if inside(scene, &pose) && is_seen() && is_reached(&pose) {
+        if !is_fit(&pose) {
+            continue;
+        }
+        let Some(reach) = &reach else {
             return Ok(pose);
+        };
+        if let Some(nearest) = reach.nearest(&pose).filter(is_fit) {
+            return Ok(nearest);
         }
     }
     if near.is_some() {

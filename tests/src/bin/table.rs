@@ -409,7 +409,7 @@ fn on_robot(
     let tick = || bar.inc(1);
     let arm = match (cli.robot, &scene.arm) {
         (Body::Urdf, None) => bail!("--robot urdf goes with --arm, or a scene that names an arm"),
-        (Body::Urdf, Some(arm)) => described::settings(arm),
+        (Body::Urdf, Some(arm)) => described::settings(arm, &scene.goal),
         _ => ArmSettings::default(),
     };
     let all = robot_table::table((scene, &arm), starts, memory, &cli.arm, &cli.common, &tick)?;

@@ -238,11 +238,13 @@ fn difference(jacobian: &Jacobian, judged: &[Vec<f64>; 6]) -> f64 {
 #[test]
 fn the_emulated_arm_of_a_file_is_where_the_laws_is() {
     let (askew, tested) = (askew(), root().join("tests/arms"));
-    let files = ["ur5e.toml", "xarm6.toml"].map(|name| tested.join(name));
+    let files =
+        ["ur5e.toml", "xarm6.toml", "five.toml", "scara.toml"].map(|name| tested.join(name));
     let mut random = ChaCha8Rng::seed_from_u64(34);
+    let goal = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap().goal;
     for file in files.into_iter().chain([askew.path("arm.toml")]) {
         let (described, arm) = arm(&file);
-        let robot = hw_sim::robot::described::settings(&described).robot;
+        let robot = hw_sim::robot::described::settings(&described, &goal).robot;
         let camera = robot.model.chain(Pose::identity());
         let end_effector = robot.model.chain(robot.flange_from_ee());
         for _ in 0..POSTURES {

@@ -75,13 +75,16 @@ impl Preview {
             if start::features_if_valid(&scene, &task, &pose).is_none() {
                 continue;
             }
-            let is_reached = reach.as_ref().is_none_or(|reach| reach.includes(&pose));
-            match is_reached {
-                true => count.found += 1,
-                false => count.beyond += 1,
+            let reached = match &reach {
+                Some(reach) => reach.nearest(&pose),
+                None => Some(pose),
+            };
+            match reached {
+                Some(_) => count.found += 1,
+                None => count.beyond += 1,
             }
-            if is_reached || count.beyond <= self.starts {
-                valid.push((pose, is_reached));
+            if reached.is_some() || count.beyond <= self.starts {
+                valid.push((reached.unwrap_or(pose), reached.is_some()));
             }
         }
         let starts = valid.iter().filter(|(_, is_reached)| *is_reached);
