@@ -37,6 +37,18 @@ pub use program::{program, target_directory};
 /// How long to wait for anything that is expected to happen, on a loaded machine.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
+/// Families of markers of every size and kind, for the tests that go through them.
+pub const FAMILIES: [&str; 8] = [
+    "DICT_4X4_50",
+    "DICT_5X5_100",
+    "DICT_6X6_250",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h11",
+];
+
 /// Prints a line to standard error, past the test harness, which captures `println!`.
 pub fn tell(line: impl Display) {
     let _ = std::io::stderr().write_all(format!("{line}\n").as_bytes());

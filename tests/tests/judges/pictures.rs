@@ -92,16 +92,7 @@ fn a_moving_cameras_tags_are_found_as_often_as_by_apriltag_3_and_as_exactly() {
 #[test]
 #[ignore = "builds an example: CI runs it in a line of its own"]
 fn tags_of_every_family_are_found_as_often_as_by_opencv_and_as_exactly() {
-    for name in [
-        "DICT_4X4_50",
-        "DICT_5X5_100",
-        "DICT_6X6_250",
-        "DICT_7X7_1000",
-        "DICT_ARUCO_ORIGINAL",
-        "DICT_APRILTAG_16h5",
-        "DICT_APRILTAG_25h9",
-        "DICT_APRILTAG_36h11",
-    ] {
+    for name in testkit::FAMILIES {
         let place = Place::new();
         let count = rendered(name.parse().unwrap(), &place.path("."));
         let all = judged(&place.path("."), "0,1,2,3,4,5", &["--family", name]);

@@ -49,6 +49,11 @@ impl Drawing {
 
     /// Paints a tag with its white border; `h` takes tag coordinates to px.
     pub fn tag(&mut self, family: Family, number: u32, h: &Matrix3<f64>) {
+        self.tag_on(family, number, h, 1.0);
+    }
+
+    /// The same with a white border of this many modules.
+    pub fn tag_on(&mut self, family: Family, number: u32, h: &Matrix3<f64>, white: f64) {
         let black = family.black() as f64;
         let back = h.try_inverse().unwrap();
         self.paint(|u, v| {
@@ -60,7 +65,7 @@ impl Drawing {
                 let is_white = family.is_white(number, [i, j].map(|k| k as usize));
                 Some(if is_white { WHITE } else { BLACK })
             } else {
-                is_within(-1.0, black).then_some(WHITE)
+                is_within(-white, black - 1.0 + white).then_some(WHITE)
             }
         });
     }

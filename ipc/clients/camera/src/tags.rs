@@ -66,12 +66,13 @@ impl std::fmt::Debug for TagFinder {
     }
 }
 
-/// The templates of a family's tags, which finders share: each is drawn when its tag is first seen.
+/// The templates of a family's tags, alone and with the squares of a Kalibr board, which finders
+/// share: each is drawn when its tag is first seen.
 #[derive(Clone, Debug)]
 pub struct Templates {
     family: Family,
     library: Arc<TagFamily>,
-    drawn: Arc<[OnceLock<Template>]>,
+    drawn: Arc<[[OnceLock<Template>; 2]]>,
 }
 
 /// A finder cannot be made, or an image has another size than its finder.
@@ -88,13 +89,16 @@ impl Templates {
         Ok(Self {
             family,
             library: Arc::new(of_library(family)?),
-            drawn: (0..family.count()).map(|_| OnceLock::new()).collect(),
+            drawn: (0..family.count()).map(|_| Default::default()).collect(),
         })
     }
 
-    fn get(&self, number: u32) -> Option<&Template> {
+    /// That of the tag of this number which `start` takes into the image.
+    fn get(&self, number: u32, image: &Grey, start: &Matrix3<f64>) -> Option<&Template> {
         let drawn = self.drawn.get(number as usize)?;
-        Some(drawn.get_or_init(|| Template::new(self.family, number)))
+        let has_squares = has_squares(image, self.family, start);
+        let drawn = &drawn[usize::from(has_squares)];
+        Some(drawn.get_or_init(|| Template::new(self.family, number, has_squares)))
     }
 
     fn decoder(&self, size: ImageSize, coarse: usize) -> Result<AprilTagDecoder, TagError> {
@@ -103,6 +107,22 @@ impl Templates {
         config.downscale_factor = coarse;
         Ok(AprilTagDecoder::new(config, size)?)
     }
+}
+
+/// Whether black squares touch the corners of a tag, as on a board of Kalibr.
+fn has_squares(image: &Grey, family: Family, start: &Matrix3<f64>) -> bool {
+    let module = 2.0 / family.black() as f64;
+    let level = |x: f64, y: f64| image.level(project(start, [x, y]));
+    let (black, white) = (1.0 - 0.5 * module, 1.0 + 0.5 * module);
+    [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]
+        .iter()
+        .all(|[x, y]| {
+            let beyond = level(x * white, y * white);
+            let inside = level(x * black, y * black);
+            let beside = level(x * black, y * white).zip(level(x * white, y * black));
+            let known = beyond.zip(inside).zip(beside);
+            known.is_some_and(|((beyond, inside), (a, b))| 2.0 * beyond < inside + 0.5 * (a + b))
+        })
 }
 
 /// A family as the library reads it.
@@ -243,14 +263,14 @@ impl TagFinder {
             if !is_wanted(number) {
                 continue;
             }
-            let Some(template) = self.templates.get(number) else {
-                continue;
-            };
             let rows = quad.quad.homography.to_cols_array();
             let mut start = Matrix3::from_column_slice(&rows.map(f64::from));
             // The library's origin is the corner of the first pixel.
             let shift = Matrix3::new(1.0, 0.0, -0.5, 0.0, 1.0, -0.5, 0.0, 0.0, 1.0);
             start = shift * start;
+            let Some(template) = self.templates.get(number, image, &start) else {
+                continue;
+            };
             let Some(h) = register(image, template, &start) else {
                 self.refused.push(number);
                 continue;
@@ -360,6 +380,36 @@ mod tests {
         }
     }
 
+    /// Squares of 2 modules, or of more than the fit takes them for.
+    #[test]
+    fn a_tag_of_a_kalibr_board_is_where_it_is_drawn() {
+        let mut random = ChaCha8Rng::seed_from_u64(5);
+        for (side, gap, blur, centre_px, corner_px) in [
+            (27.0, 0.25, 0.6, 0.03, 0.06),
+            (27.0, 0.3, 1.0, 0.04, 0.15),
+            (42.0, 0.3, 0.6, 0.03, 0.06),
+            (60.0, 0.5, 1.0, 0.03, 0.06),
+        ] {
+            let mut finder = finder(Family::default(), 1);
+            let mut off = Off::default();
+            for n in 0..40 {
+                let (number, h) = placement(&mut random, side, 0.12);
+                let back = h.try_inverse().unwrap();
+                let mut drawing = Drawing::new(SIDE, SIDE, 110.0);
+                drawing.paint(|u, v| {
+                    let at = project(&back, [u, v]).map(f64::abs);
+                    let is_square = at.iter().all(|x| (1.0..1.0 + 2.0 * gap).contains(x));
+                    let is_paper = at.iter().all(|x| *x < 1.0 + 2.0 * gap);
+                    is_paper.then_some(if is_square { BLACK } else { WHITE })
+                });
+                drawing.tag_on(Family::default(), number, &h, 0.0);
+                drawing.blur(blur);
+                off.add(&found(&mut finder, &drawing, n), number, &h);
+            }
+            off.check(&format!("{side} px, gap {gap}"), [centre_px, corner_px]);
+        }
+    }
+
     /// How far 40 tags are from where they are drawn: sums of squares, px^2.
     #[derive(Default)]
     struct Off {
@@ -440,19 +490,10 @@ mod tests {
         }
     }
 
-    /// Families that the tests go through, of every size and of every kind.
-    const FAMILIES: [&str; 7] = [
-        "DICT_4X4_50",
-        "DICT_5X5_100",
-        "DICT_6X6_250",
-        "DICT_7X7_1000",
-        "DICT_ARUCO_ORIGINAL",
-        "DICT_APRILTAG_16h5",
-        "DICT_APRILTAG_25h9",
-    ];
-
     fn families() -> impl Iterator<Item = Family> {
-        FAMILIES.into_iter().map(|name| name.parse().unwrap())
+        testkit::FAMILIES
+            .into_iter()
+            .map(|name| name.parse().unwrap())
     }
 
     #[test]

@@ -11,6 +11,9 @@ use crate::blur::{area_below, below};
 const MARGIN: usize = 3;
 /// Modules on each side of one that a blur reaches.
 const REACH: usize = 2;
+/// Modules along a side of the squares at the corners of a Kalibr board's tags: as wide as the gap
+/// between two tags, and the rest is too far to matter.
+const SQUARE: usize = 2;
 /// Weights of those.
 type Weights = [f64; 2 * REACH + 1];
 /// Places along each edge of a module at which the border between black and white is measured, in
@@ -68,13 +71,22 @@ pub(crate) struct Template {
 }
 
 impl Template {
-    /// Of the tag of this number.
-    pub fn new(family: Family, number: u32) -> Self {
+    /// Of the tag of this number, alone or with a black square at each corner.
+    pub fn new(family: Family, number: u32, has_squares: bool) -> Self {
         let (side, black) = (family.side(), family.black());
         let (wide, first, last) = (side + 2 * MARGIN, MARGIN, MARGIN + side - 1);
+        let is_square = |place: [usize; 2]| {
+            let is_beyond = |k: usize| {
+                (first + 1 - SQUARE..=first).contains(&k) || (last..last + SQUARE).contains(&k)
+            };
+            has_squares && place.into_iter().all(is_beyond)
+        };
         let is_white = |place: [usize; 2]| {
             let is_about = place.iter().any(|k| *k <= first || *k >= last);
-            is_about || family.is_white(number, place.map(|k| k - first - 1))
+            match is_about {
+                true => !is_square(place),
+                false => family.is_white(number, place.map(|k| k - first - 1)),
+            }
         };
         let modules = (0..wide * wide).map(|k| f64::from(u8::from(is_white([k % wide, k / wide]))));
         let modules: Vec<f64> = modules.collect();
@@ -91,7 +103,7 @@ impl Template {
             (ring < 2).then(|| Cell {
                 at: place.map(centre),
                 #[cfg(test)]
-                is_white: ring == 0,
+                is_white: is_white(place),
                 place,
             })
         });
@@ -105,6 +117,7 @@ impl Template {
                 }
                 let sign = if is_black[0] { 1.0 } else { -1.0 };
                 let side = match ([i, j][axis], [k, l][axis]) {
+                    _ if is_square([i, j]) || is_square([k, l]) => None,
                     (k, _) if k == first => Some(axis),
                     (_, k) if k == last => Some(axis + 2),
                     _ => None,
@@ -261,7 +274,9 @@ mod tests {
     /// The first tags of every family.
     fn templates() -> impl Iterator<Item = Template> {
         let families = Family::NAMES.iter().map(|name| name.parse().unwrap());
-        families.flat_map(|family| (0..20).map(move |number| Template::new(family, number)))
+        families.flat_map(|family| {
+            (0..20).map(move |number| Template::new(family, number, number % 4 == 3))
+        })
     }
 
     #[test]
@@ -270,7 +285,9 @@ mod tests {
             let white = template.border.iter().filter(|cell| cell.is_white).count();
             let rings = [template.side, template.black].map(|side| 4 * (side - 1));
             let border = [white, template.border.len() - white];
-            assert_eq!(border, rings);
+            let has_squares = template.row(MARGIN, MARGIN)[0] == 0.0;
+            let squares = 4 * usize::from(has_squares);
+            assert_eq!(border, [rings[0] - squares, rings[1] + squares]);
             let outline: Vec<&Edge> = template.edges.iter().filter(|e| e.side.is_some()).collect();
             let least = 4 * template.black * ALONG.len();
             assert_eq!(outline.len(), least);
