@@ -529,6 +529,12 @@ mod tests {
                 "[truth]\nfocal = 0.9",
                 ["truth.focal", "0.9", "-0.5 to 0.5"],
             ),
+            ("[truth]\ngloss = 256.0", ["truth.gloss", "256", "0 to 255"]),
+            (
+                "[truth]\nsharpening = -0.1",
+                ["truth.sharpening", "-0.1", "0 to 5"],
+            ),
+            ("[truth]\ndemosaic = 1", ["demosaic", "1", "boolean"]),
             (
                 "[truth]\nhand_eye_m = [0.0, nan, 0.0]",
                 ["truth.hand_eye_m", "NaN", "-0.2 to 0.2"],

@@ -52,6 +52,9 @@ impl FrameRenderer {
             distortion: truth.distortion,
             defocus_px: truth.defocus_px,
             gain: truth.gain,
+            gloss: truth.gloss,
+            demosaic: truth.demosaic,
+            sharpening: truth.sharpening,
             clutter: truth.clutter as usize,
             seed,
             ..Look::default()

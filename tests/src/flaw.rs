@@ -103,7 +103,8 @@ fn scaled(value: &Value, scale: &mut impl FnMut() -> f64) -> anyhow::Result<Valu
             let all = all.iter().map(|x| scaled(x, scale));
             Value::Array(all.collect::<anyhow::Result<_>>()?)
         }
-        other => bail!("{other}; allowed: numbers and lists of numbers"),
+        Value::Boolean(is_on) => Value::Boolean(*is_on && scale() != 0.0),
+        other => bail!("{other}; allowed: numbers, lists of numbers, and true"),
     })
 }
 
@@ -126,6 +127,16 @@ mod tests {
         let expected = "rate = 1\ndrop = 0.02\ntruth = { focal = 0.5, center_px = [2.0, -4.0] }";
         assert_eq!(keys, toml::from_str::<Table>(expected).unwrap());
         assert_eq!(told, toml::from_str::<Table>("k = 6").unwrap());
+    }
+
+    #[test]
+    fn a_switch_is_on_at_every_level_but_zero() {
+        let flaw = flaw("name = 'a'\nwhat = 'b'\nkeys = { truth = { demosaic = true } }");
+        for (level, is_on) in [(0.0, false), (0.5, true), (3.0, true)] {
+            let mut keys = Table::new();
+            flaw.add(level, 0, &mut keys, &mut Table::new()).unwrap();
+            assert_eq!(keys["truth"]["demosaic"].as_bool(), Some(is_on));
+        }
     }
 
     #[test]

@@ -227,6 +227,8 @@ impl Laboratory<'_> {
         fs::write(&own, lines.join("\n") + "\n")?;
 
         let mut hw_sim = shipped("hw-sim/hw-sim-tags.toml")?;
+        // The shutter's readout is one of the errors.
+        hw_sim.insert("readout_ms".to_owned(), 0.0.into());
         let mut told = calibration(scene)?;
         for (flaw, level) in self.levels {
             flaw.add(*level, self.number, &mut hw_sim, &mut told)?;

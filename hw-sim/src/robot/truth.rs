@@ -56,6 +56,14 @@ pub struct Truth {
     /// Rendered: the brightness changes by up to this share, slowly and in steps.
     #[schemars(range(min = 0, max = 1))]
     pub gain: f64,
+    /// Rendered: level of a light that tags mirror, in the middle of its highlight.
+    #[schemars(range(min = 0, max = 255), extend("x-unit" = "levels"))]
+    pub gloss: f64,
+    /// Rendered: the sensor sees one color a pixel (Bayer), and interpolates the gray.
+    pub demosaic: bool,
+    /// Rendered: gain of the camera's sharpening, an unsharp mask of 1 px.
+    #[schemars(range(min = 0, max = 5))]
+    pub sharpening: f64,
     /// Rendered: other tags on the table, the last a copy of tag 0.
     #[schemars(range(min = 0, max = 20))]
     pub clutter: u32,

@@ -6,7 +6,8 @@
 //! ```
 //! The second argument is the row of `tags-robot-starts.csv`, or six numbers tx ty tz (m) rx ry rz
 //! (rad). With `--flaws` the lens distorts, the picture is out of focus, blurred by 10 cm/s and half
-//! a radian a second in 20 ms, brighter or darker, and other tags lie about.
+//! a radian a second in 20 ms and sheared as much, brighter or darker, of a mosaic and sharpened,
+//! tags mirror a light, and others lie about.
 
 use std::error::Error;
 use std::fs::File;
@@ -31,12 +32,13 @@ fn main() -> Result<(), Box<dyn Error>> {
     if has_flaws {
         look.distortion = [-0.25, 0.08, 0.001, -0.001, 0.0];
         (look.defocus_px, look.gain, look.clutter) = (0.8, 0.4, 6);
+        (look.demosaic, look.sharpening, look.gloss) = (true, 1.0, 60.0);
         // Within 20 ms.
         ends[1].translation[0] += 0.002;
         ends[1].rotation[2] += 0.01;
     }
     let mut renderer = Renderer::new(&scene, &look);
-    let image = renderer.render_moving(&[pose; 2], &ends);
+    let image = renderer.render_moving(&ends, &ends);
     for (i, truth) in truth(&scene, &pose, scene.marker_size, |_| true)
         .iter()
         .enumerate()

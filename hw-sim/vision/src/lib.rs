@@ -22,6 +22,7 @@
 
 mod brightness;
 mod defocus;
+mod gloss;
 mod homography;
 mod image;
 mod latency;
@@ -32,6 +33,7 @@ mod object;
 mod optics;
 mod painted;
 mod plane;
+mod processor;
 mod renderer;
 mod sensor;
 mod sheet;

@@ -33,9 +33,16 @@ pub struct Look {
     /// Share by which the brightness rises and falls, slowly and in steps; 0 to 1. Levels end at
     /// 255.
     pub gain: f64,
+    /// Level of a light that tags mirror, in the middle of its highlight, which moves with the camera;
+    /// 0 to 255.
+    pub gloss: f64,
+    /// Whether the sensor sees one colour a pixel, whose grey is interpolated (Bayer, bilinear).
+    pub demosaic: bool,
+    /// Gain of an unsharp mask of 1 px that the camera applies last; 0 to 5.
+    pub sharpening: f64,
     /// Other tags that lie about on the table: of other numbers, the last a copy of the first tag.
     pub clutter: usize,
-    /// Seed of textures, noise, brightness and clutter.
+    /// Seed of textures, noise, brightness, clutter and the mirrored light.
     pub seed: u64,
 }
 
@@ -73,6 +80,9 @@ impl Default for Look {
             distortion: [0.0; 5],
             defocus_px: 0.0,
             gain: 0.0,
+            gloss: 0.0,
+            demosaic: false,
+            sharpening: 0.0,
             clutter: 0,
             seed: 0,
         }

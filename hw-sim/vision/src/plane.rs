@@ -1,8 +1,10 @@
 //! The plane of the pattern: table, box and the tags on them.
 
+use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use crate::gloss::Gloss;
 use crate::homography::{Homography, Point};
 use crate::lens::{Lens, Rays};
 use crate::look::Look;
@@ -26,6 +28,7 @@ const CLUTTER: u64 = 0x7a65;
 #[derive(Clone, Debug)]
 pub(crate) struct Plane {
     look: Look,
+    gloss: Option<Gloss>,
     sheets: Vec<Sheet>,
     /// Corner of the box that is least and that is greatest in x and y, m.
     outline: [Point; 2],
@@ -45,6 +48,7 @@ impl Plane {
         let all = tags.iter().chain(&clutter);
         Self {
             look: *look,
+            gloss: Gloss::new(look),
             sheets: all.map(|tag| Sheet::new(tag, look)).collect(),
             outline,
         }
@@ -59,12 +63,14 @@ impl Plane {
     }
 
     /// Draws a row of the image, `line`, as seen by the maps from the plane at the begin and at the
-    /// end of its exposure. The ground is seen as in the middle.
+    /// end of its exposure. The ground is seen as in the middle, and the mirrored light from `eye`, in
+    /// the frame of the object.
     pub fn draw(
         &self,
         line: &mut [f32],
         row: usize,
         maps: &[Homography; 2],
+        eye: &Vector3<f64>,
         rays: &Rays,
         texture: &Texture,
     ) {
@@ -73,8 +79,9 @@ impl Plane {
             return;
         };
         self.draw_ground(line, row, &first.between(&last, 0.5), rays, texture);
+        let shine = |at: Point| self.gloss.map_or(0.0, |gloss| gloss.at(at, eye));
         for sheet in &self.sheets {
-            sheet.draw(line, row, &[first, last], rays);
+            sheet.draw(line, row, &[first, last], rays, shine);
         }
     }
 

@@ -1,5 +1,5 @@
-//! The picture: plane with tags, object, optics, spot, noise; in this order, as light meets
-//! them.
+//! The picture: plane with tags, object, optics, spot, sensor, processor; in this order, as light
+//! meets them.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -7,6 +7,7 @@ use scene::{Camera, Pose, Scene};
 
 use crate::brightness::Brightness;
 use crate::defocus::Defocus;
+use crate::gloss::eye;
 use crate::homography::{Homography, Point};
 use crate::image::Image;
 use crate::lens::{Lens, Rays};
@@ -14,6 +15,7 @@ use crate::look::Look;
 use crate::object::Object;
 use crate::optics::Optics;
 use crate::plane::Plane;
+use crate::processor::Processor;
 use crate::sensor::Sensor;
 use crate::spot::Spot;
 use crate::tag::Tag;
@@ -41,6 +43,7 @@ pub struct Renderer {
     optics: Optics,
     brightness: Brightness,
     sensor: Sensor,
+    processor: Option<Processor>,
     levels: Vec<f32>,
     image: Image,
 }
@@ -88,6 +91,7 @@ impl Renderer {
             optics: Optics::new(&scene.camera, look.vignette),
             brightness: Brightness::new(look.gain, look.seed),
             sensor: Sensor::new(look.noise, random),
+            processor: Processor::new(look, width, height),
             levels: vec![0.0; width * height],
             image: Image::new(width, height),
         }
@@ -115,6 +119,7 @@ impl Renderer {
     /// and of the last row, and those at the begin and at the end of the exposure of any row, whose
     /// difference blurs the tags.
     pub fn render_moving(&mut self, rows: &[Pose; 2], exposure: &[Pose; 2]) -> &Image {
+        let eyes = rows.each_ref().map(eye);
         let map = |pose: &Pose| Homography::of_pose(&self.camera, pose);
         let (rows, exposure) = (rows.each_ref().map(map), exposure.each_ref().map(map));
         let way = (exposure[1].0 - exposure[0].0) * 0.5;
@@ -126,8 +131,10 @@ impl Renderer {
         for row in 0..height {
             let share = row as f64 / (height - 1) as f64;
             let maps = ends(rows[0].between(&rows[1], share));
+            let eye = eyes[0].lerp(&eyes[1], share);
             let line = &mut self.levels[row * width..(row + 1) * width];
-            self.plane.draw(line, row, &maps, &self.rays, &self.texture);
+            self.plane
+                .draw(line, row, &maps, &eye, &self.rays, &self.texture);
         }
         for (layer, shown) in &self.layers {
             if let (Layer::Object(object), true) = (layer, shown) {
@@ -144,8 +151,14 @@ impl Renderer {
             }
         }
         let brightness = self.brightness.next();
-        self.sensor
-            .expose(&self.levels, brightness, &mut self.image);
+        self.sensor.expose(&mut self.levels, width, brightness);
+        if let Some(processor) = &mut self.processor {
+            processor.process(&mut self.levels);
+        }
+        for (pixel, level) in self.image.pixels_mut().iter_mut().zip(&self.levels) {
+            // The cast saturates.
+            *pixel = (level + 0.5) as u8;
+        }
         &self.image
     }
 
@@ -518,6 +531,68 @@ mod tests {
             assert!(mean < 90.0 || white > 1000, "{mean} {white}");
         }
         assert!(most > 1.8 * least, "{least} {most}");
+    }
+
+    #[test]
+    fn glossy_tags_mirror_a_light_as_the_camera_stands_to_it() {
+        use crate::gloss::Gloss;
+        let mut scene = robot();
+        scene.occlusions.clear();
+        // A tag that fills the picture.
+        let tag = Tag {
+            number: 3,
+            center: [0.0; 2],
+            size: 0.6,
+        };
+        let glossy = Look {
+            gloss: 30.0,
+            ..plain()
+        };
+        let gloss = Gloss::new(&glossy).unwrap();
+        let mut pose = scene.goal;
+        for x in [0.0, 0.05] {
+            pose.translation[0] = x;
+            let [dull, bright] = [plain(), glossy].map(|look| {
+                let mut renderer = Renderer::with_tags(&scene, &look, &[tag]);
+                renderer.render(&pose).clone()
+            });
+            let back = Homography::of_pose(&scene.camera, &pose).inverse().unwrap();
+            let (mut least, mut most) = (f64::INFINITY, 0.0f64);
+            for at in (0..640 * 480).step_by(997) {
+                let [u, v] = [at % 640, at / 640];
+                let point = back.apply([u as f64, v as f64]).unwrap();
+                let expected = f64::from(gloss.at(point, &eye(&pose)));
+                let found = f64::from(bright.at(u, v)) - f64::from(dull.at(u, v));
+                assert!(
+                    (found - expected).abs() < 1.5,
+                    "({u}, {v}): {found}, {expected}"
+                );
+                (least, most) = (least.min(found), most.max(found));
+            }
+            assert!(least == 0.0 && most > 25.0, "{least} {most}");
+        }
+    }
+
+    #[test]
+    fn the_processor_sharpens_what_the_sensor_read_with_its_noise() {
+        let mut scene = robot();
+        scene.occlusions.clear();
+        let [soft, sharp] = [0.0, 1.0].map(|sharpening| {
+            let [quiet, noisy] = [0.0, 5.0].map(|noise| {
+                let look = Look {
+                    noise,
+                    sharpening,
+                    ..plain()
+                };
+                let mut renderer = Renderer::with_tags(&scene, &look, &[]);
+                renderer.render(&scene.goal).clone()
+            });
+            let pairs = quiet.pixels().iter().zip(noisy.pixels());
+            let squares = pairs.map(|(a, b)| (f64::from(*a) - f64::from(*b)).powi(2));
+            (squares.sum::<f64>() / 307_200.0).sqrt()
+        });
+        // White noise less its blur: the gain is 2 at itself, less the Gaussian's own share.
+        assert!((sharp / soft - 1.86).abs() < 0.06, "{soft} {sharp}");
     }
 
     #[test]

@@ -1,14 +1,12 @@
-//! The sensor: noise and 8 bits.
+//! The sensor: noise.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-use crate::image::Image;
-
 /// Numbers of noise drawn once; each row of each frame reads them from another place.
 const NOISE: usize = 1 << 16;
 
-/// Turns light into grey values.
+/// Reads the light.
 #[derive(Clone, Debug)]
 pub(crate) struct Sensor {
     /// Standard deviation, levels.
@@ -26,16 +24,14 @@ impl Sensor {
         }
     }
 
-    /// Exposes an image to levels of light, this many times as bright.
-    pub fn expose(&mut self, levels: &[f32], brightness: f32, image: &mut Image) {
-        let width = image.width();
-        let rows = levels.chunks_exact(width);
-        for (levels, pixels) in rows.zip(image.pixels_mut().chunks_exact_mut(width)) {
+    /// Makes of levels of light, rows of this width, what the sensor reads where it is this many
+    /// times as bright.
+    pub fn expose(&mut self, levels: &mut [f32], width: usize, brightness: f32) {
+        for levels in levels.chunks_exact_mut(width) {
             let at = self.random.random::<u32>() as usize % NOISE;
             let noise = self.noise[at..].iter().chain(&self.noise).cycle();
-            for ((level, noise), pixel) in levels.iter().zip(noise).zip(pixels) {
-                // The cast saturates.
-                *pixel = (brightness * level + self.amount * noise + 0.5) as u8;
+            for (level, noise) in levels.iter_mut().zip(noise) {
+                *level = brightness * *level + self.amount * noise;
             }
         }
     }

@@ -85,8 +85,15 @@ impl Sheet {
 
     /// Draws the pixels of a row that it covers, wholly or in part. `backs` lead to the plane at the
     /// begin and at the end of the exposure. Within a pixel and its exposure they are taken to be
-    /// linear.
-    pub fn draw(&self, line: &mut [f32], row: usize, backs: &[Homography; 2], rays: &Rays) {
+    /// linear. `shine` is the level that a point of the plane adds; it is even over a pixel.
+    pub fn draw(
+        &self,
+        line: &mut [f32],
+        row: usize,
+        backs: &[Homography; 2],
+        rays: &Rays,
+        shine: impl Fn(Point) -> f32,
+    ) {
         let [[left, top], [right, bottom]] = self.window;
         if !(top..bottom).contains(&row) || left >= right {
             return;
@@ -120,8 +127,10 @@ impl Sheet {
                 let depth = x - *x as i64 as f64;
                 depth > reach && depth < 1.0 - reach
             });
+            let light = shine([0, 1].map(|k| (from[k] - middle) / scale + center[k]));
+            let level = |at: Point| self.level(at).map(|level| level + light);
             if is_plain {
-                *pixel = self.level(from).unwrap_or(*pixel);
+                *pixel = level(from).unwrap_or(*pixel);
                 continue;
             }
             let share = |k: usize| (k as f64 + 0.5) / SAMPLES as f64;
@@ -129,7 +138,7 @@ impl Sheet {
                 let [v, time] = LATTICE.map(|step| share(k * step % SAMPLES));
                 let (a, b) = (share(k) - 0.5, v - 0.5);
                 let at = [0, 1].map(|k| from[k] + a * du[k] + b * dv[k] + time * motion[k]);
-                self.level(at).unwrap_or(*pixel)
+                level(at).unwrap_or(*pixel)
             });
             *pixel = samples.sum::<f32>() / SAMPLES as f32;
         }
