@@ -1,9 +1,10 @@
 //! The vendor's interface, judged by the vendor's own library (libfranka 0.9.2, as `panda-python`
 //! has it): it takes `hw-sim --fci` for a Panda. `panda.py` acts and sees, the tests here judge.
-//! [`fr3`] has the judges of version 10, [`franka_rs`] a client of another team.
+//! [`fr3`] has the judges of version 10, [`franka_rs`] and [`others`] clients of other teams.
 
 mod fr3;
 mod franka_rs;
+mod others;
 mod robot;
 
 use std::io::{Read, Write};

@@ -12,8 +12,8 @@ use testkit::{Ended, Place, Running};
 /// A library of the vendor's in Python, and the program here that uses it.
 #[derive(Debug)]
 pub struct Library {
-    environment: Environment,
-    program: &'static str,
+    pub environment: Environment,
+    pub program: &'static str,
 }
 
 /// libfranka 0.9.2, which speaks version 5.

@@ -267,7 +267,7 @@ fn a_packet_that_hangs_the_library_brings_zeros() {
 
 #[test]
 fn gateway_or_guard_that_hang_or_are_killed_bring_zeros() {
-    for (via, domain) in [(Via::Dds, 151), (Via::Rcl, 152)] {
+    for (via, domain) in [(Via::Dds, 151), (Via::Kilted, 152)] {
         if let Some(bench) = Bench::new("guard", via, domain, false) {
             hang_and_kill(bench);
         }

@@ -19,8 +19,10 @@ use testkit::{
 pub enum Via {
     /// CycloneDDS, with ROS 2's names and types.
     Dds,
-    /// rclpy over Fast DDS.
-    Rcl,
+    /// rclpy over Fast DDS, of the distribution Kilted.
+    Kilted,
+    /// The same of Jazzy, which has long-term support.
+    Jazzy,
 }
 
 const DDS: Environment = Environment {
@@ -30,8 +32,8 @@ const DDS: Environment = Environment {
 };
 
 /// Wheels of ROS 2 itself: empy alone comes as source.
-const RCL: Environment = Environment {
-    name: "ros2-rcl",
+const KILTED: Environment = Environment {
+    name: "ros2-kilted",
     requirements: &["ipc/clients/python/requirements.txt"],
     packages: &[
         "--no-binary=empy",
@@ -42,6 +44,20 @@ const RCL: Environment = Environment {
         "ros-sensor-msgs==5.5.1",
         "ros-std-srvs==5.5.1",
         "ros-visualization-msgs==5.5.1",
+    ],
+};
+const JAZZY: Environment = Environment {
+    name: "ros2-jazzy",
+    requirements: &["ipc/clients/python/requirements.txt"],
+    packages: &[
+        "--no-binary=empy",
+        "ros-rclpy==7.1.6",
+        "ros-rmw-fastrtps-cpp==8.4.3",
+        "ros-diagnostic-msgs==5.3.6",
+        "ros-geometry-msgs==5.3.6",
+        "ros-sensor-msgs==5.3.6",
+        "ros-std-srvs==5.3.6",
+        "ros-visualization-msgs==5.3.6",
     ],
 };
 
@@ -208,7 +224,11 @@ pub struct Bench {
 impl Bench {
     /// `None`, after `not_run`, where there is no Python with what is needed.
     pub fn new(test: &str, via: Via, ros_domain_id: u16, is_in_base: bool) -> Option<Self> {
-        let environment = if via == Via::Dds { DDS } else { RCL };
+        let environment = match via {
+            Via::Dds => DDS,
+            Via::Kilted => KILTED,
+            Via::Jazzy => JAZZY,
+        };
         let python = environment.python(test)?;
         let turn = testkit::turn();
         let plan = Plan {
@@ -271,7 +291,7 @@ impl Plan {
         let scene = scene_file();
         let (services, camera) = match via {
             Via::Dds => ("cyclonedds", "features = \"tags\""),
-            Via::Rcl => ("fastdds", "features = \"points\"\ntopic = \"/points\""),
+            Via::Kilted | Via::Jazzy => ("fastdds", "features = \"points\"\ntopic = \"/points\""),
         };
         let robot = match is_in_base {
             true => {

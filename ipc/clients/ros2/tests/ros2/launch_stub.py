@@ -12,8 +12,8 @@ def declare(name, default_value=None, description=None):
     declared.setdefault(name, default_value)
 
 
-def execute(cmd, output):
-    assert output == "screen"
+def execute(cmd, name, output):
+    assert name in cmd and output == "screen"
     return [word if isinstance(word, str) else word() for word in cmd]
 
 

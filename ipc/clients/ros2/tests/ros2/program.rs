@@ -131,8 +131,8 @@ fn the_launch_file_starts_the_programs_with_their_files() {
     assert_eq!(ended.code, Some(0), "{}", ended.stderr);
     assert_eq!(
         ended.stdout,
-        "vpcd --config /etc/vpcd/vpcd.toml --domain /run/x\n\
-         vpc-ros2 --config /etc/vpcd/vpc-ros2.toml --domain /run/x --ros-domain-id 17\n"
+        "setpriv --pdeathsig TERM vpcd --config /etc/vpcd/vpcd.toml --domain /run/x\n\
+         setpriv --pdeathsig TERM vpc-ros2 --config /etc/vpcd/vpc-ros2.toml --domain /run/x --ros-domain-id 17\n"
     );
 }
 

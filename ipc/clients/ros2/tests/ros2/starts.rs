@@ -92,9 +92,14 @@ fn starts_arrive_with_base_axes_and_the_pose_of_a_tool() {
 
 #[test]
 fn starts_arrive_beside_rclpy_and_fast_dds_with_a_polygon() {
-    let Some(mut bench) = Bench::new("rclpy", Via::Rcl, 143, false) else {
-        return;
-    };
+    for (via, domain) in [(Via::Kilted, 143), (Via::Jazzy, 153)] {
+        if let Some(bench) = Bench::new("rclpy", via, domain, false) {
+            arrive_beside_rclpy(bench);
+        }
+    }
+}
+
+fn arrive_beside_rclpy(mut bench: Bench) {
     let status = arrive(&mut bench, 5);
     check_told(&mut bench);
     // The graph of ROS 2 knows the node and who commands.
