@@ -4,6 +4,7 @@ the simulator's own poses.
 A world is a class, made from a scene and a `Sheet`, with
 
     STEP_S                       its step, s; a frame is due every few of them
+    carry(base_from_pattern)     puts the box with the pattern there
     place(base_from_camera)      puts the arm there at rest, by the simulator's inverse kinematics
     step(base_from_camera)       has the arm follow, and lets one step pass
     camera(), pattern()          where they are now, in the base: 4 x 4 matrices
@@ -39,6 +40,8 @@ LATENCY_S, DROP = 0.11, 0.01
 OBEYED_S = 0.1
 # How long the pattern stays at the goal before the object is released, and for how long the arm then comes to rest, s.
 DWELL_S, REST_S = 0.5, 0.5
+# How long the camera stays with a box that moves: all that counts, since an arm at rest loses it.
+FOLLOW_S = 3.0
 # The pattern in the arm's base: half a metre in front, 5 cm above the foot, facing up; x to the right of the arm, y towards
 # it. hw-sim's lies there, too.
 BASE_FROM_PATTERN = np.array([[0.0, -1.0, 0.0, 0.5], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.05], [0.0, 0.0, 0.0, 1.0]])
@@ -122,13 +125,14 @@ class Loop:
         """The pattern in the camera's frame, by the simulator."""
         return inverse(self.world.camera()) @ self.world.pattern()
 
-    def run(self, start, save=None):
-        """What became of a run: its verdict, when, and the last error, px."""
+    def run(self, start, speed, save=None):
+        """What became of a run over a box with this speed, m/s: its verdict, when, and the last error, px."""
         world, period_s = self.world, 1.0 / self.rate_hz
+        world.carry(BASE_FROM_PATTERN)
         world.place(world.pattern() @ inverse(pose(start)))
         wanted = world.camera()
         self.images.restart()
-        epoch_ns, arrival, self.errors = vpc_client.now_ns(), Arrival(DWELL_S), []
+        epoch_ns, arrival, self.errors = vpc_client.now_ns(), Arrival(FOLLOW_S if speed else DWELL_S), []
         under_way, command, until_s, begun_s, arrived_s = collections.deque(), np.zeros(6), 0.0, None, None
         truths, frames, steps, verdict = {}, 0, 0, None
         while verdict is None:
@@ -143,7 +147,7 @@ class Loop:
                 if arrived_s is None and error <= self.referee.convergence_px:
                     arrived_s = now_s
                 if arrival.is_due(self.referee.arrived(pixels), now_s):
-                    return self.release(wanted, arrived_s)
+                    return ("arrived", arrived_s, error) if speed else self.release(wanted, arrived_s)
                 is_lost = frames > 1 and self.random.random() < DROP
                 picture = None if is_lost else self.lens.cover(world.render(), True)
                 truths[frames] = pixels
@@ -162,6 +166,8 @@ class Loop:
                 self.compare(truths)
             if now_s < until_s:
                 wanted = wanted @ self.moved(command, world.STEP_S)
+            if speed:
+                world.carry(BASE_FROM_PATTERN @ pose([speed * now_s, 0.0, 0.0, 0.0, 0.0, 0.0]))
             world.step(wanted)
             steps += 1
         return verdict, now_s, error
@@ -251,6 +257,7 @@ def main(name, make, words):
     parser.add_argument("--domain", help=f"directory of the domain [{vpc_client.default_directory()}]")
     parser.add_argument("--first", type=int, default=0, help="index of the first start [%(default)s]")
     parser.add_argument("--count", type=int, help="number of starts [all from there]")
+    parser.add_argument("--motion", type=float, default=0.0, metavar="M_PER_S", help="speed of the box, to the right [it stands]")
     parser.add_argument("--json", help="file for the result of each run")
     parser.add_argument("--frames", metavar="PREFIX", help="write every hundredth frame to PREFIX-START-FRAME.png")
     arguments = parser.parse_args()
@@ -263,7 +270,7 @@ def main(name, make, words):
         domain.wait_for_controller()
         loop = Loop(scene, pathlib.Path(arguments.scene).parent, world, domain, seed=arguments.first)
         for number, start in starts:
-            verdict, time_s, error = loop.run(start, arguments.frames and f"{arguments.frames}-{number}")
+            verdict, time_s, error = loop.run(start, arguments.motion, arguments.frames and f"{arguments.frames}-{number}")
             runs.append({"start": number, "verdict": verdict, "time_s": time_s, "error_px": error, **loop.found_to()})
             numbers = "after {time_s:.1f} s, error {error_px:.2f} px; {frames} frames, features to {rms_px:.3f} px RMS"
             print(f"start {number}: {verdict} {numbers.format(**runs[-1])}, mean {runs[-1]['mean_px']}", flush=True)

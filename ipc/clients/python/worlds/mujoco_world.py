@@ -67,7 +67,7 @@ class World:
 
     @staticmethod
     def _described(scene, sheet, tags):
-        camera, base = scene["camera"], lockstep.BASE_FROM_PATTERN
+        camera = scene["camera"]
         width, height = int(camera["width"]), int(camera["height"])
         left, top, right, bottom = sheet.box
         half = f"{0.5 * (right - left)} {0.5 * (bottom - top)} 0.0001"
@@ -77,17 +77,18 @@ class World:
             f'<camera name="eye" {frame(HAND_FROM_CAMERA @ OPENGL)} resolution="{width} {height}"'
             f' sensorsize="0.00640 0.00480" focalpixel="{camera["fx"]} {camera["fy"]}" principalpixel="{aside} {above}"/>'
         )
-        middle = base @ lockstep.pose([0.5 * (left + right), 0.5 * (top + bottom), 0, 0, 0, 0])
-        under = base @ lockstep.pose([0, 0, 3e-4 + HALF_BOX[2], 0, 0, 0])
+        middle = lockstep.pose([0.5 * (left + right), 0.5 * (top + bottom), 0, 0, 0, 0])
+        under = lockstep.pose([0, 0, 3e-4 + HALF_BOX[2], 0, 0, 0])
         half_box = " ".join(map(str, HALF_BOX))
         plain = 'contype="0" conaffinity="0"'
         world = f"""
             <light type="spot" pos="0.2 0.4 1.6" dir="0.3 -0.4 -1.55" cutoff="40" exponent="5" castshadow="true"
              diffuse="{SPOT}" ambient="0 0 0"/>
             <geom type="plane" size="2 2 0.1" pos="0 0 -0.1" material="floor" {plain}/>
-            <geom type="box" size="{half_box}" {frame(under)} rgba=".55 .4 .3 1" {plain}/>
-            <body name="pattern" {frame(base)}/>
-            <geom type="plane" size="{half}" {frame(facing(middle))} material="tags" {plain}/>
+            <body name="pattern" mocap="true">
+              <geom type="box" size="{half_box}" {frame(under)} rgba=".55 .4 .3 1" {plain}/>
+              <geom type="plane" size="{half}" {frame(facing(middle))} material="tags" {plain}/>
+            </body>
         """
         assets = f"""
             <texture name="tags" type="2d" file="{tags}"/><material name="tags" texture="tags" specular="0" shininess="0"/>
@@ -134,11 +135,18 @@ class World:
         )
         return found, np.abs(residuals(found)).max()
 
+    def carry(self, base_from_pattern):
+        x, y, z, w = lockstep.quaternion(base_from_pattern)
+        self.data.mocap_pos[0], self.data.mocap_quat[0] = base_from_pattern[:3, 3], (w, x, y, z)
+        mujoco.mj_kinematics(self.model, self.data)
+
     def place(self, base_from_camera):
         q, apart = self._solved(base_from_camera, READY, 100)
         if apart > PLACED:
             raise ValueError(f"this start is out of the arm's reach: {apart} m or rad away")
+        pattern = self.pattern()
         mujoco.mj_resetData(self.model, self.data)
+        self.carry(pattern)
         self.data.qpos[:7] = self.data.ctrl[:7] = q
         mujoco.mj_forward(self.model, self.data)
 

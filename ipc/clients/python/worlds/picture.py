@@ -1,6 +1,7 @@
 """The printed sheet of tags, and what a picture shows besides the simulator's world: spot on the lens, grasped object."""
 
 import io
+import math
 import pathlib
 import re
 
@@ -27,10 +28,15 @@ class Sheet:
         head = re.search(r'viewBox="(\S+) (\S+) (\S+) (\S+)"', text)
         if head is None:
             raise ValueError(f"{path}: no viewBox; allowed: a drawing of `vpc-camera tags`")
-        left, top, width, height = (1e-3 * float(number) for number in head.groups())
+        left, top, width, height = (float(number) for number in head.groups())
+        # Whole pixels, which resvg would round to for itself, and stretch the drawing.
+        columns, rows = (math.ceil(1e-3 * TEXTURE_PER_M * side - 1e-6) for side in (width, height))
+        width, height = (1e3 * side / TEXTURE_PER_M for side in (columns, rows))
         # Corners in the pattern's frame: left, top, right, bottom, m.
-        self.box = (left, top, left + width, top + height)
-        png = resvg_py.svg_to_bytes(svg_string=text, dpi=96, width=round(TEXTURE_PER_M * width))
+        self.box = tuple(1e-3 * side for side in (left, top, left + width, top + height))
+        size = f'width="{columns}" height="{rows}" viewBox="{left} {top} {width} {height}"'
+        text = re.sub('width="[^"]*" height="[^"]*" viewBox="[^"]*"', size, text, count=1)
+        png = resvg_py.svg_to_bytes(svg_string=text)
         self.image = Image.open(io.BytesIO(bytes(png))).convert("RGB")
 
 

@@ -30,8 +30,10 @@ READY = (0.0, -0.4, 0.0, -2.2, 0.0, 1.9, math.pi / 4)
 # What the inverse kinematics may leave at a start, m and rad.
 PLACED = 1e-4
 # Blur of lens and pixels, px. The renderer samples one point of each pixel, so an edge along a row is up to half a pixel off for
-# long; without the blur vpc-camera takes such a tag for one that is partly hidden.
+# long. Without the blurs vpc-camera takes such a tag for one that is partly hidden, and as the pictures have no noise, for ever.
 BLUR_PX = 0.45
+# Blur of the texture, its pixels: about a third of a camera's pixel at the distances of the starts, as a pixel's area has it.
+TEXTURE_BLUR = 2.0
 NEAR, FAR = 0.01, 3.0
 # Where the light comes from: the hand's shadow falls on the tags.
 LIGHT = (-0.3, 0.15, 1.0)
@@ -56,6 +58,7 @@ class World:
         pybullet.setTimeStep(self.STEP_S)
         self.arm = self._arm()
         self.sheet = self._box(sheet)
+        self.carry(lockstep.BASE_FROM_PATTERN)
         camera = scene["camera"]
         self.width, self.height = int(camera["width"]), int(camera["height"])
         # The renderer samples a pixel at its lower left corner, not in its middle.
@@ -79,11 +82,9 @@ class World:
             return pybullet.loadURDF(str(file), useFixedBase=True)
 
     def _box(self, sheet):
-        """A box with the sheet on it; returns the sheet's body, in the frame of the pattern."""
-        base = lockstep.BASE_FROM_PATTERN
-        at, turned = base[:3, 3], lockstep.quaternion(base)
+        """A box and the sheet on it; returns the sheet's body, in the frame of the pattern."""
         box = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=HALF_BOX, rgbaColor=(0.55, 0.4, 0.3, 1.0))
-        pybullet.createMultiBody(0.0, -1, box, at + base[:3, 2] * (HALF_BOX[2] + 2e-4), turned)
+        self.box = pybullet.createMultiBody(0.0, -1, box)
         left, top, right, bottom = sheet.box
         corners = [[left, top, 0], [right, top, 0], [right, bottom, 0], [left, bottom, 0]]
         paper = pybullet.createVisualShape(
@@ -93,10 +94,10 @@ class World:
             uvs=[[0, 1], [1, 1], [1, 0], [0, 0]],
             normals=[[0, 0, -1]] * 4,
         )
-        body = pybullet.createMultiBody(0.0, -1, paper, at, turned)
+        body = pybullet.createMultiBody(0.0, -1, paper)
         with tempfile.TemporaryDirectory() as directory:
             file = str(pathlib.Path(directory) / "tags.png")
-            sheet.image.save(file)
+            sheet.image.filter(ImageFilter.GaussianBlur(TEXTURE_BLUR)).save(file)
             pybullet.changeVisualShape(body, -1, textureUniqueId=pybullet.loadTexture(file))
         return body
 
@@ -104,6 +105,12 @@ class World:
         flange = base_from_camera @ lockstep.inverse(lockstep.FLANGE_FROM_CAMERA)
         found = pybullet.calculateInverseKinematics(self.arm, FLANGE, flange[:3, 3], lockstep.quaternion(flange), **keys)
         return found[:7]
+
+    def carry(self, base_from_pattern):
+        at, turned = base_from_pattern[:3, 3], lockstep.quaternion(base_from_pattern)
+        pybullet.resetBasePositionAndOrientation(self.sheet, at, turned)
+        under = at + base_from_pattern[:3, 2] * (HALF_BOX[2] + 2e-4)
+        pybullet.resetBasePositionAndOrientation(self.box, under, turned)
 
     def place(self, base_from_camera):
         for joint, angle in zip(JOINTS, READY):
