@@ -1,7 +1,7 @@
 //! A light that glossy print mirrors: a highlight that moves with the camera.
 //!
 //! Source: J. F. Blinn, "Models of light reflection for computer synthesized pictures", SIGGRAPH
-//! 1977: facets whose slopes are normally distributed mirror the light into the eye where they face
+//! 1977: facets with normally distributed slopes mirror the light into the eye where they face
 //! half-way between both.
 
 use nalgebra::{Rotation3, Vector3};
@@ -24,7 +24,7 @@ const GLOSS: u64 = 0x9105;
 /// A light at rest to the pattern.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Gloss {
-    /// In the frame of the object, whose z axis points away from the camera, m.
+    /// In the frame of the object, m; z points away from the camera.
     light: Vector3<f64>,
     /// Level in the middle of the highlight.
     level: f64,

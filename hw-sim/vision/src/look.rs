@@ -33,10 +33,10 @@ pub struct Look {
     /// Share by which the brightness rises and falls, slowly and in steps; 0 to 1. Levels end at
     /// 255.
     pub gain: f64,
-    /// Level of a light that tags mirror, in the middle of its highlight, which moves with the camera;
-    /// 0 to 255.
+    /// Level of a light that tags mirror, in the middle of its highlight; 0 to 255. The highlight
+    /// moves with the camera.
     pub gloss: f64,
-    /// Whether the sensor sees one colour a pixel, whose grey is interpolated (Bayer, bilinear).
+    /// Whether the sensor sees one colour a pixel; the grey is interpolated (Bayer, bilinear).
     pub demosaic: bool,
     /// Gain of an unsharp mask of 1 px that the camera applies last; 0 to 5.
     pub sharpening: f64,

@@ -63,8 +63,8 @@ impl Plane {
     }
 
     /// Draws a row of the image, `line`, as seen by the maps from the plane at the begin and at the
-    /// end of its exposure. The ground is seen as in the middle, and the mirrored light from `eye`, in
-    /// the frame of the object.
+    /// end of its exposure. The ground is seen as in the middle, and the mirrored light from `eye`
+    /// (object's frame, m).
     pub fn draw(
         &self,
         line: &mut [f32],

@@ -45,7 +45,7 @@ def material(bpy, name, colour, roughness, coat=0.0):
 
 
 def paper(bpy, sheet):
-    """The sheet as a body whose frame is the pattern's: x to the right, y down, its face towards -z."""
+    """The sheet as a body in the pattern's frame: x to the right, y down, its face towards -z."""
     left, top, right, bottom = sheet.box
     mesh = bpy.data.meshes.new("sheet")
     mesh.from_pydata([(left, bottom, 0), (right, bottom, 0), (right, top, 0), (left, top, 0)], [], [(0, 3, 2, 1)])
