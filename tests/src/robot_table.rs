@@ -319,63 +319,48 @@ mod tests {
         let mut scene = Scene::read(&scenes.join("ur5e.toml")).unwrap();
         let starts = parse_starts(scene::PAPER_ROBOT_STARTS, "starts").unwrap();
         let starts: Vec<Pose> = starts.into_iter().step_by(20).collect();
-        let common = Common {
-            strategies: vec!["previous:3".parse().unwrap()],
-            ..defaults()
-        };
         for file in ["ur5e.toml", "xarm6.toml"] {
             let arm = Arm::read(&crate::root().join("tests/arms").join(file)).unwrap();
             let robot = described::settings(&arm, &scene.goal);
             scene.arm = Some(arm);
-            let all = table(
-                (&scene, &robot),
-                &starts,
-                None,
-                &defaults(),
-                &common,
-                &|| (),
-            );
-            let (name, runs) = all.unwrap().remove(0);
-            let row = row(&name, &runs, false);
-            assert_eq!(row.success_rate, 1.0, "{file}: {row:?}");
-            assert_eq!((row.reflexes, row.limit_violations), (0, 0), "{file}");
+            let row = all_arrive(&scene, &robot, &starts, "previous:3");
             assert!(row.joint_shares[0] > 0.01, "{file}: {row:?}");
         }
     }
 
-    #[test]
-    fn arms_with_four_and_five_joints_arrive_from_what_they_reach() {
+    /// The row of a strategy that arrives from all starts, within all limits of the robot.
+    fn all_arrive(scene: &Scene, robot: &ArmSettings, starts: &[Pose], strategy: &str) -> RobotRow {
         let common = Common {
-            strategies: vec!["foresight:3".parse().unwrap()],
+            strategies: vec![strategy.parse().unwrap()],
             ..defaults()
         };
+        let all = table((scene, robot), starts, None, &defaults(), &common, &|| ());
+        let (name, runs) = all.unwrap().remove(0);
+        let row = row(&name, &runs, false);
+        assert_eq!(row.success_rate, 1.0, "{row:?}");
+        assert_eq!((row.reflexes, row.limit_violations), (0, 0), "{row:?}");
+        row
+    }
+
+    #[test]
+    fn arms_with_four_and_five_joints_arrive_from_what_they_reach() {
         for file in ["five.toml", "scara.toml"] {
             let scene = Scene::read(&crate::root().join("tests/scenes").join(file)).unwrap();
             let described = scene.arm.as_ref().unwrap();
             let robot = described::settings(described, &scene.goal);
             let chain = arm::Arm::from(described).chain;
             let starts = [0.1, 0.07, 0.05].map(|away| {
-                let mut q = arm::Joints::zeros();
-                let pairs = q.iter_mut().zip(&described.goal).enumerate();
-                pairs.for_each(|(k, (to, from))| *to = from + [away, -0.04][k % 2]);
+                let mut q = described.goal.clone();
+                let each = q.iter_mut().enumerate();
+                each.for_each(|(k, q)| *q += [away, -0.04][k % 2]);
+                let q = arm::joints(&q);
                 let object = chain.pose(&q).inverse() * robot.base_from_object;
                 Pose {
                     translation: object.translation.vector.into(),
                     rotation: rotation_vector(&object.rotation).into(),
                 }
             });
-            let all = table(
-                (&scene, &robot),
-                &starts,
-                None,
-                &defaults(),
-                &common,
-                &|| (),
-            );
-            let (name, runs) = all.unwrap().remove(0);
-            let row = row(&name, &runs, false);
-            assert_eq!(row.success_rate, 1.0, "{file}: {row:?}");
-            assert_eq!((row.reflexes, row.limit_violations), (0, 0), "{file}");
+            all_arrive(&scene, &robot, &starts, "foresight:3");
         }
     }
 }

@@ -11,7 +11,7 @@
 //! |---|---|---|
 //! | q | [`Posture::q`] | joint positions, rad or m |
 //! | g v <= b | `Bound` | a damper |
-//! | n v = 0 | `Dampers::still` | a direction in which fewer than six joints do not move the camera |
+//! | n v = 0 | `Dampers::still` | a direction in which no joint moves the camera |
 //! | c = P (b - g v) | `Row` | its clearance as the solver has it, px |
 //! | P | `PX` | weight of a damper against a clearance in the image |
 
@@ -56,9 +56,8 @@ pub struct Posture {
 impl Posture {
     /// The posture of an arm with so many joints.
     pub fn new(q: &[f64], at_ns: u64) -> Self {
-        let mut all = [0.0; JOINTS];
-        all.iter_mut().zip(q).for_each(|(to, from)| *to = *from);
-        Self { q: all, at_ns }
+        let q = ::arm::joints(q).into();
+        Self { q, at_ns }
     }
 }
 
@@ -74,8 +73,8 @@ pub(crate) fn moved(
     Some(arm?.moved(q?, twist, elbow, seconds))
 }
 
-/// The twist of a camera that is told to move at `twist` for `seconds`: less than that where the
-/// arm has fewer than six joints.
+/// The camera's mean velocity while it is told to move at `twist` for `seconds`: `twist` itself,
+/// unless the arm has fewer than six joints.
 pub(crate) fn carried(arm: Option<&Arm>, q: Option<&Joints>, twist: &Twist, seconds: f64) -> Twist {
     let known = arm.zip(q);
     known.map_or(*twist, |(arm, q)| arm.carried(q, twist, seconds))

@@ -147,9 +147,7 @@ fn a_start_whose_way_ends_at_a_joint_arrives_where_the_law_knows_the_arm() {
         let mut place = || random.random_range(-1.0..1.0);
         let q = Joints::from_fn(|k, _| READY[k] + 0.5 * place());
         let camera = arm.chain.pose(&q);
-        let points = seen(&scene(false), &(camera.inverse() * object));
-        let inside = |p: &[f64; 2]| (20.0..620.0).contains(&p[0]) && (20.0..380.0).contains(&p[1]);
-        if room(&arm, &q) > 0.3 && points.is_some_and(|points| points.iter().all(inside)) {
+        if room(&arm, &q) > 0.3 && is_in_sight(&scene(false), &(camera.inverse() * object)) {
             return q;
         }
     };
@@ -176,9 +174,7 @@ fn arms_with_four_and_five_joints_arrive_where_the_law_knows_what_they_cannot_do
         let mut scene = Scene::read(&tests.join("scenes").join(file)).unwrap();
         let described = scene.arm.take().unwrap();
         let arm = Arm::from(&described);
-        let mut at_goal = Joints::zeros();
-        let pairs = at_goal.iter_mut().zip(&described.goal);
-        pairs.for_each(|(to, from)| *to = *from);
+        let at_goal = arm::joints(&described.goal);
         let object = arm.chain.pose(&at_goal) * goal(&scene);
         let arrivals = [Some(described), None].map(|told| {
             scene.arm = told;
@@ -189,10 +185,7 @@ fn arms_with_four_and_five_joints_arrive_where_the_law_knows_what_they_cannot_do
                     true => at_goal[k] + random.random_range(-0.4..0.4),
                     false => 0.0,
                 });
-                let points = seen(&scene, &(arm.chain.pose(&q).inverse() * object));
-                let is_inside =
-                    |p: &[f64; 2]| (20.0..620.0).contains(&p[0]) && (20.0..380.0).contains(&p[1]);
-                if points.is_some_and(|points| points.iter().all(is_inside)) {
+                if is_in_sight(&scene, &(arm.chain.pose(&q).inverse() * object)) {
                     return q;
                 }
             };
@@ -305,6 +298,12 @@ fn arrives(
         q = arm.moved(&q, &step.twist.map(|v| share * v), step.elbow, 1.0 / 30.0);
     }
     false
+}
+
+/// Whether all points of the pattern are in the image, clear of its border and of the gripper.
+fn is_in_sight(scene: &Scene, object: &Pose) -> bool {
+    let is_inside = |p: &[f64; 2]| (20.0..620.0).contains(&p[0]) && (20.0..380.0).contains(&p[1]);
+    seen(scene, object).is_some_and(|points| points.iter().all(is_inside))
 }
 
 /// The points of the pattern in the image, px, if all are before the camera.

@@ -141,11 +141,6 @@ impl CartesianGenerator {
         )
     }
 
-    fn be_at(&mut self, pose: &Pose) {
-        self.position = pose.translation.vector;
-        self.orientation = UnitQuaternion::from_rotation_matrix(&pose.rotation);
-    }
-
     fn advance(&mut self, twist: &Twist, from: &Setpoint) -> (Setpoint, Errors) {
         let acceleration = (twist - self.twist) / PERIOD;
         let jerk = (acceleration - self.acceleration) / PERIOD;
@@ -156,7 +151,10 @@ impl CartesianGenerator {
 
         match self.ik.pose_of_few(&desired.q) {
             // No joints could follow the integral for long.
-            Some(pose) => self.be_at(&pose),
+            Some(pose) => {
+                self.position = pose.translation.vector;
+                self.orientation = UnitQuaternion::from_rotation_matrix(&pose.rotation);
+            }
             None => {
                 let (linear, angular) = split(twist);
                 self.position += linear * PERIOD;

@@ -7,7 +7,7 @@
 //! manipulators ...", J. Robotic Systems 5(6), 1988 (damping); Y. Nakamura, "Advanced Robotics"
 //! (null space). The real robot's inverse kinematics is not published.
 
-use nalgebra::{Cholesky, Const, Matrix6, SMatrix};
+use nalgebra::{Cholesky, Const, DimMin, Matrix6, SMatrix};
 
 use crate::brake::approach;
 use crate::kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, Twist, difference, split};
@@ -163,17 +163,16 @@ struct System<'a> {
 impl<'a> System<'a> {
     fn new(jacobian: &'a Jacobian) -> Self {
         let square = jacobian * jacobian.transpose();
-        let measure = manipulability(jacobian);
-        let damping = match has_few_joints(jacobian) {
-            false if measure >= SINGULAR => {
-                let factor = Cholesky::new(square);
+        let damping = if has_few_joints(jacobian) {
+            let share = (1.0 - measure_of_few(jacobian) / SINGULAR_OF_FEW).max(0.0);
+            (DAMPING * share * lever(jacobian)).max(LEAST_DAMPING)
+        } else {
+            let factor = Cholesky::new(square);
+            let measure = factor.as_ref().map_or(0.0, diagonal);
+            if measure >= SINGULAR {
                 return Self { jacobian, factor };
             }
-            false => DAMPING * (1.0 - measure / SINGULAR),
-            true => {
-                let share = (1.0 - measure / SINGULAR_OF_FEW).max(0.0);
-                (DAMPING * share * lever(jacobian)).max(LEAST_DAMPING)
-            }
+            DAMPING * (1.0 - measure / SINGULAR)
         };
         let damping = damping.powi(2);
         Self {
@@ -201,17 +200,28 @@ impl<'a> System<'a> {
 /// sqrt(det(J J^T)), m^3; of fewer than six joints sqrt(det(J^T J)), lengths as shares of the
 /// longest lever.
 pub(crate) fn manipulability(jacobian: &Jacobian) -> f64 {
-    if !has_few_joints(jacobian) {
-        let factor = Cholesky::new(jacobian * jacobian.transpose());
-        return factor.map_or(0.0, |f| f.l_dirty().diagonal().product());
+    if has_few_joints(jacobian) {
+        return measure_of_few(jacobian);
     }
+    Cholesky::new(jacobian * jacobian.transpose()).map_or(0.0, |factor| diagonal(&factor))
+}
+
+/// The product of a factor's diagonal: the root of the determinant.
+fn diagonal<const N: usize>(factor: &Cholesky<f64, Const<N>>) -> f64
+where
+    Const<N>: DimMin<Const<N>, Output = Const<N>>,
+{
+    factor.l_dirty().diagonal().product()
+}
+
+/// Manipulability of fewer than six joints.
+fn measure_of_few(jacobian: &Jacobian) -> f64 {
     let mut shares = *jacobian;
     let mut linear = shares.fixed_rows_mut::<3>(0);
     linear /= lever(jacobian);
     let square = shares.transpose() * shares;
     let missing = square.diagonal().map(|x| f64::from(x == 0.0));
-    let factor = Cholesky::new(square + SMatrix::from_diagonal(&missing));
-    factor.map_or(0.0, |f| f.l_dirty().diagonal().product())
+    Cholesky::new(square + SMatrix::from_diagonal(&missing)).map_or(0.0, |factor| diagonal(&factor))
 }
 
 /// The longest lever at which a joint moves the end effector, m; 1 of a joint that slides.

@@ -27,8 +27,8 @@ use nalgebra::{Matrix6, RowSVector, RowVector6, SMatrix, SVector, Vector3};
 use crate::collision::MAX_ROWS;
 use crate::description::{Arm, MAX_POINTS, MAX_WALLS, Pair};
 use crate::elbow;
-use crate::ik::{self, Inverse, held, inverse, reaches_all, square};
-use crate::kinematics::{JOINTS, Jacobian, Joints, Pose, Twist};
+use crate::ik::{self, Inverse, held, inverse, square};
+use crate::kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, Twist};
 use crate::reserve::nearing;
 use crate::singularity;
 
@@ -290,7 +290,7 @@ impl Dampers {
             wanted,
             ramps,
             bounds,
-            still: still(arm.chain.count(), &jacobian, &along),
+            still: still(&arm.chain, &jacobian, &along),
         }
     }
 
@@ -345,10 +345,10 @@ impl Arm {
         q + velocities(&middle) * seconds
     }
 
-    /// The velocity that a camera takes in the mean, along its axes, as it is told to move at `twist`
-    /// for so long: `twist`, but for an arm with fewer than six joints.
+    /// The camera's mean velocity along its axes while it is told to move at `twist` for so long:
+    /// `twist` itself, unless the arm has fewer than six joints.
     pub fn carried(&self, q: &Joints, twist: &[f64; 6], seconds: f64) -> [f64; 6] {
-        if self.chain.count() >= 6 {
+        if !self.chain.has_few_joints() {
             return *twist;
         }
         let middle = self.moved(q, twist, 0.0, 0.5 * seconds);
@@ -359,21 +359,21 @@ impl Arm {
     }
 }
 
-/// Orthonormal directions along camera axes in which so many joints do not move the camera.
+/// Orthonormal directions along camera axes in which the joints of a chain do not move the camera.
 fn still(
-    count: usize,
+    chain: &Chain,
     jacobian: &Jacobian,
     along: &Matrix6<f64>,
 ) -> heapless::Vec<[f64; 6], MAX_STILL> {
     let mut basis = heapless::Vec::new();
-    if reaches_all(jacobian) {
+    if !chain.has_few_joints() {
         return basis;
     }
     // What is left of each axis beside all that the joints do.
     let moved = along.transpose() * jacobian;
     let reached = moved * moved.transpose() * square(&moved).unwrap_or_default();
     let mut left = Matrix6::identity() - reached;
-    for _ in count..6 {
+    for _ in chain.count()..6 {
         let longest = left.row_iter().map(|row| row.norm_squared());
         let longest = longest.enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
         let Some((k, square)) = longest.filter(|(_, square)| square.is_finite()) else {
@@ -497,7 +497,7 @@ mod tests {
     use super::*;
     use crate::description::Wall;
     use crate::limits::Model;
-    use crate::{Chain, READY, ShaperSettings};
+    use crate::{READY, ShaperSettings};
 
     const ACCELERATIONS: [f64; 6] = [0.5, 0.5, 0.5, 1.2, 1.2, 1.2];
 
@@ -608,11 +608,11 @@ mod tests {
                 let twist: [f64; 6] = core::array::from_fn(|_| random.random_range(-0.1..0.1));
                 let dampers = Dampers::at(&arm, &q, &ACCELERATIONS, 0.0);
                 assert_eq!(dampers.still.len(), directions);
-                let Some(reached) = Some(dampers.reached(&twist)).filter(|_| count < 6) else {
-                    assert_eq!(dampers.reached(&twist), twist);
-                    assert_eq!(arm.carried(&q, &twist, 0.1), twist);
+                let reached = dampers.reached(&twist);
+                if count >= 6 {
+                    assert_eq!((reached, arm.carried(&q, &twist, 0.1)), (twist, twist));
                     continue;
-                };
+                }
                 // No direction that stands is one in which a joint moves the camera.
                 let (camera, jacobian) = arm.chain.at(&q);
                 let moves = along_camera(&camera).transpose() * jacobian;

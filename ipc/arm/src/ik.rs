@@ -62,7 +62,7 @@ pub fn inverse(jacobian: &Jacobian) -> Inverse {
 /// (J J^T + damping)^-1; `None` for a Jacobian that is not finite.
 fn damped_square(jacobian: &Jacobian) -> Option<Matrix6<f64>> {
     let square = jacobian * jacobian.transpose();
-    if reaches_all(jacobian) {
+    if !has_few_joints(jacobian) {
         let damping = damping(measure(&square) / SINGULAR);
         return inverted(&square, damping * damping);
     }
@@ -71,9 +71,9 @@ fn damped_square(jacobian: &Jacobian) -> Option<Matrix6<f64>> {
     inverted(&square, (damping * damping).max(ROUNDING))
 }
 
-/// Whether an arm has six joints or more, so that its end effector moves in every direction.
-pub(crate) fn reaches_all(jacobian: &Jacobian) -> bool {
-    jacobian.column(5).amax() > 0.0
+/// [`Chain::has_few_joints`], by the columns of the joints that the arm does not have.
+fn has_few_joints(jacobian: &Jacobian) -> bool {
+    jacobian.column(5).amax() == 0.0
 }
 
 /// (J J^T)^-1, but for rounding; `None` for a Jacobian that is not finite.
@@ -157,7 +157,7 @@ pub fn posture(
         }
         let step = inverse(&jacobian) * error;
         let is_nearest = error.norm() < NEAR && step.amax() < FOUND;
-        if is_nearest && !reaches_all(&jacobian) {
+        if is_nearest && chain.has_few_joints() {
             return (Some(q), taken);
         }
         q += step * (LONGEST / step.amax()).min(1.0);

@@ -19,6 +19,12 @@ pub const JOINTS: usize = 7;
 /// on of one that slides.
 pub type Joints = SVector<f64, JOINTS>;
 
+/// The numbers of an arm's joints, at most seven; further entries are zero.
+pub fn joints(numbers: &[f64]) -> Joints {
+    let all = numbers.iter().copied().chain(core::iter::repeat(0.0));
+    Joints::from_iterator(all.take(JOINTS))
+}
+
 /// A velocity (vx vy vz in m/s, wx wy wz in rad/s) of a frame's origin, along the axes that the
 /// context names; also its first two derivatives.
 pub type Twist = SVector<f64, 6>;
@@ -125,6 +131,11 @@ impl Chain {
     /// How many joints it has; further entries of [`Joints`] mean nothing.
     pub fn count(&self) -> usize {
         self.count
+    }
+
+    /// Whether it has fewer than six, so that its end effector does not move in every direction.
+    pub fn has_few_joints(&self) -> bool {
+        self.count < 6
     }
 
     /// O_T_F, the flange in the base.

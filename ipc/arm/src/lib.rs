@@ -24,7 +24,7 @@ pub use bridge::{Bridge, Caps, Driver, Limited, Measured, Room};
 pub use capsule::{Capsule, Cuboid};
 pub use damper::{Bound, Cause, Dampers};
 pub use description::{Arm, Other, Pair, Shapes, Wall};
-pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Screw, Twist};
+pub use kinematics::{Chain, JOINTS, Jacobian, Joints, Pose, READY, Screw, Twist, joints};
 pub use limits::{JointLimits, Limits, Model, PERIOD, Setpoint};
 pub use mount::Mount;
 pub use ramp::Ramp;

@@ -27,10 +27,7 @@ impl Reach {
     pub fn of(scene: &Scene) -> Option<Self> {
         let described = scene.arm.as_ref().filter(|arm| !arm.goal.is_empty())?;
         let arm = Arm::from(described);
-        let mut goal = Joints::zeros();
-        goal.iter_mut()
-            .zip(&described.goal)
-            .for_each(|(to, from)| *to = *from);
+        let goal = arm::joints(&described.goal);
         Some(Self {
             base_from_object: arm.chain.pose(&goal) * rigid(&scene.goal),
             goal,
@@ -64,7 +61,7 @@ impl Reach {
     pub fn nearest(&self, start: &Pose) -> Option<Pose> {
         let wanted = self.camera(start);
         let q = self.way(&wanted)?;
-        if !self.has_few_joints() {
+        if !self.arm.chain.has_few_joints() {
             return self.is_near(&q, &wanted, 6).then_some(*start);
         }
         let object = self.arm.chain.pose(&q).inverse() * self.base_from_object;
@@ -78,13 +75,13 @@ impl Reach {
     /// Whether such a way leads the camera to a pose in the base; with fewer than six joints to its
     /// place alone.
     pub fn includes_camera(&self, wanted: &arm::Pose) -> bool {
-        let numbers = if self.has_few_joints() { 3 } else { 6 };
+        let numbers = if self.arm.chain.has_few_joints() {
+            3
+        } else {
+            6
+        };
         let end = self.way(wanted);
         end.is_some_and(|q| self.is_near(&q, wanted, numbers))
-    }
-
-    fn has_few_joints(&self) -> bool {
-        self.arm.chain.count() < 6
     }
 
     /// The joints at the end of a straight way of the camera, if all of it is allowed.

@@ -114,8 +114,7 @@ fn camera_and_jacobian_of_every_arm_file_are_those_of_pinocchio() {
         assert_eq!(judged.len(), POSTURES);
         let mut apart = [0.0_f64; 3];
         for (posture, judged) in postures.iter().zip(judged) {
-            let mut q = Joints::zeros();
-            q.iter_mut().zip(posture).for_each(|(to, from)| *to = *from);
+            let q = arm::joints(posture);
             let (camera, jacobian) = arm.chain.at(&q);
             let found = camera.to_homogeneous();
             let entries = (0..3).flat_map(|i| (0..4).map(move |j| (i, j)));
@@ -191,8 +190,7 @@ fn distances_of_links_and_boxes_are_those_of_coal() {
         assert_eq!(judged.len(), POSTURES);
         let (mut apart, mut count, mut near) = (0.0_f64, 0, 0);
         for (posture, judged) in postures.iter().zip(judged) {
-            let mut q = Joints::zeros();
-            q.iter_mut().zip(posture).for_each(|(to, from)| *to = *from);
+            let q = arm::joints(posture);
             let mut ours = Distances::new();
             for (pair, distance) in arm.distances(&q) {
                 let name = |k: u8| described.shape_links[usize::from(k)].as_str();
