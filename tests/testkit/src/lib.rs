@@ -23,6 +23,7 @@ mod program;
 pub mod python;
 
 use std::fmt::Display;
+use std::fs::File;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -52,6 +53,16 @@ pub const FAMILIES: [&str; 8] = [
 /// Prints a line to standard error, past the test harness, which captures `println!`.
 pub fn tell(line: impl Display) {
     let _ = std::io::stderr().write_all(format!("{line}\n").as_bytes());
+}
+
+/// Waits for its turn to fill a directory that several processes use: until the file is dropped.
+fn locked(directory: &Path) -> Result<File, String> {
+    let lock = || {
+        std::fs::create_dir_all(directory)?;
+        let file = File::create(directory.with_extension("lock"))?;
+        file.lock().map(|()| file)
+    };
+    lock().map_err(|error| format!("{}: {error}", directory.display()))
 }
 
 /// Reports that a test, or a part of it, does not run on this machine.

@@ -2,17 +2,14 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::{Mutex, PoisonError};
 
 use crate::python::run;
-use crate::{are_installed, not_run, root, target_directory};
+use crate::{are_installed, locked, not_run, root, target_directory};
 
 /// A script, ready to run with the packages that the `package.json` beside it names; its path is
 /// from the root of the repository. `None`, after [`not_run`], where the machine has no Node.js or
 /// no network.
 pub fn script(test: &str, script: &str) -> Option<Command> {
-    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-    let _turn = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     if !are_installed(test, &["node=nodejs", "npm"]) {
         return None;
     }
@@ -44,7 +41,7 @@ fn installed(script: &Path) -> Result<PathBuf, String> {
         .and_then(Path::file_name)
         .unwrap_or_default();
     let directory = target_directory().join("tmp").join("node").join(folder);
-    std::fs::create_dir_all(&directory).map_err(|error| error.to_string())?;
+    let _turn = locked(&directory)?;
     let wanted = text(&script.with_file_name("package.json"))?;
     // Written at the end: without it, or with other contents, the packages are installed again.
     let note = directory.join("wanted.json");

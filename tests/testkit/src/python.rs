@@ -5,19 +5,20 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 
-use crate::{not_run, root, target_directory};
+use crate::{Ended, locked, not_run, root, target_directory};
 
 /// Runs a command to its end; its standard output.
 ///
 /// # Errors
-/// The last line of standard error, where it fails.
+/// How it ended, and standard error, where it fails.
 pub fn run(command: &mut Command) -> Result<String, String> {
-    let output: crate::Ended = command.output().map_err(|error| error.to_string())?.into();
-    if output.code == Some(0) {
-        return Ok(output.stdout);
+    let output = command.output().map_err(|error| error.to_string())?;
+    let status = output.status;
+    let Ended { stdout, stderr, .. } = output.into();
+    if status.success() {
+        return Ok(stdout);
     }
-    let last = output.stderr.lines().rfind(|line| !line.trim().is_empty());
-    Err(last.unwrap_or("no reason given").to_owned())
+    Err(format!("{status}: {}", stderr.trim()))
 }
 
 /// A virtual environment in the target directory.
@@ -67,6 +68,7 @@ impl Environment {
             wanted += &text.map_err(|error| format!("{file}: {error}"))?;
         }
         let directory = target_directory().join("tmp").join(self.name);
+        let _turn = locked(&directory)?;
         // Written at the end: without it, or with other contents, the environment is made again.
         let note = directory.join("wanted.txt");
         let python = directory.join("bin/python");
