@@ -68,6 +68,11 @@ impl Family {
         }
     }
 
+    /// Whether OpenCV has its markers upside down: those of AprilTag.
+    pub fn is_upside_down(&self) -> bool {
+        self.name().starts_with("DICT_APRILTAG")
+    }
+
     /// Whether a module of the upright marker is white: by column and row from the upper left
     /// corner of the black square. A number beyond the family is a marker without white bits.
     pub fn is_white(&self, number: u32, [column, row]: [usize; 2]) -> bool {
@@ -81,8 +86,7 @@ impl Family {
         }
         // The least significant bit is the upper left one; 1 is black.
         let bit = (row - 1) * bits + column - 1;
-        // OpenCV has AprilTags upside down.
-        let bit = if self.name().starts_with("DICT_APRILTAG") {
+        let bit = if self.is_upside_down() {
             bits * bits - 1 - bit
         } else {
             bit

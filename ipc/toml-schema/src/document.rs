@@ -153,6 +153,11 @@ impl Document {
         self.flags.insert(key.to_owned(), flag.to_owned());
     }
 
+    /// Whether a key of the file's first level, or its flag, was given.
+    pub fn has(&self, key: &str) -> bool {
+        self.table.contains_key(key)
+    }
+
     /// Checks the document against the schema of a struct, and returns the struct.
     ///
     /// # Errors

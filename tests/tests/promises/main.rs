@@ -18,6 +18,7 @@ mod damage;
 mod deadlines;
 mod delay;
 mod failures;
+mod families;
 mod faultless;
 mod fixture;
 mod follow;

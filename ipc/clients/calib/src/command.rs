@@ -9,9 +9,11 @@ use std::fmt::Display;
 use std::sync::atomic::AtomicBool;
 
 use program::Exit;
+use tag_board::Board;
 use toml_schema::FileError;
 
 use crate::arguments::{BoardArguments, Command, OutputArguments, board};
+use crate::detector::Detector;
 use crate::live::LiveError;
 use crate::output::{self, OutputError};
 use crate::picture::PictureError;
@@ -104,6 +106,19 @@ fn draw(arguments: &BoardArguments) -> Result<bool, Failure> {
         eprintln!("written: {}", path.display());
     }
     Ok(true)
+}
+
+/// Finds a board, or the tags of a scene; refuses a board whose pose is ambiguous.
+fn oriented(board: Option<Board>) -> Result<Detector, Failure> {
+    let board = board.unwrap_or_default();
+    if board.is_symmetric() {
+        let Board { columns, rows, .. } = board;
+        let message = format!(
+            "a chessboard of {columns} x {rows} inner corners looks the same upside down; allowed: columns + rows odd, or a board with tags"
+        );
+        return Err(Failure::new(Exit::Config, message));
+    }
+    Ok(Detector::new(&board)?)
 }
 
 /// Refuses files that exist, before there is something to lose.

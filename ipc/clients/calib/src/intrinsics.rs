@@ -20,14 +20,16 @@ use vision_calibration_optim::{
 
 use crate::camera::Camera;
 use crate::pose;
-use crate::target::Target;
-use crate::view::{Tag, View};
+use crate::target::{Point, Target};
+use crate::view::View;
 
 /// Fewest views that determine the parameters, with one to spare.
 pub const FEWEST: usize = 4;
 /// Fewest views of a result that is good.
 const ENOUGH: usize = 8;
-/// A tag whose corners miss by so many standard deviations, and by so many px, is dropped.
+/// Fewest points of a view that is used.
+const POINTS: usize = 8;
+/// A point that misses by so many standard deviations, and by so many px, is dropped.
 const OUTLIER: f64 = 6.0;
 const OUTLIER_PX: f64 = 0.5;
 
@@ -43,9 +45,9 @@ pub struct Intrinsics {
     pub rms_px: f64,
     /// Each view that was used.
     pub views: Vec<ViewFit>,
-    /// Tags that were used, and those that were dropped because they miss.
-    pub tags: [usize; 2],
-    /// Corners that each ninth of the image has shown, row by row.
+    /// Points that were used, and those that were dropped because they miss.
+    pub points: [usize; 2],
+    /// Points that each ninth of the image has shown, row by row.
     pub coverage: [usize; 9],
 }
 
@@ -64,7 +66,9 @@ pub struct ViewFit {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum IntrinsicsError {
     /// Too few views.
-    #[error("{found} views with two tags or more; {FEWEST} at least, {ENOUGH} for a good result")]
+    #[error(
+        "{found} views with {POINTS} corners of the board or more; {FEWEST} at least, {ENOUGH} for a good result"
+    )]
     #[allow(missing_docs)]
     TooFew { found: usize },
     /// The library found no camera.
@@ -89,15 +93,15 @@ pub fn calibrate(
     for view in &mut views {
         view.keep_known(target);
     }
-    views.retain(|view| view.tags.len() >= 2);
+    views.retain(|view| view.points.len() >= POINTS);
     if views.len() < FEWEST {
         return Err(IntrinsicsError::TooFew { found: views.len() });
     }
     let mut estimate = solve(&views, target, size, k3)?;
-    let all: usize = views.iter().map(|view| view.tags.len()).sum();
+    let all: usize = views.iter().map(|view| view.points.len()).sum();
     drop_outliers(&mut views, target, &estimate, size);
-    let kept: usize = views.iter().map(|view| view.tags.len()).sum();
-    views.retain(|view| view.tags.len() >= 2);
+    let kept: usize = views.iter().map(|view| view.points.len()).sum();
+    views.retain(|view| view.points.len() >= POINTS);
     if kept < all {
         if views.len() < FEWEST {
             return Err(IntrinsicsError::TooFew { found: views.len() });
@@ -108,19 +112,15 @@ pub fn calibrate(
     let poses = &estimate.params.camera_se3_target;
     let fit = |(view, pose): (&View, &Iso3)| ViewFit {
         name: view.name.clone(),
-        rms_px: rms(view
-            .tags
-            .iter()
-            .flat_map(|tag| misses(&camera, pose, target, tag))),
+        rms_px: rms(misses(&camera, pose, target, view)),
         target: *pose,
     };
     let every = views.iter().zip(poses);
-    let every = every.flat_map(|(view, pose)| view.tags.iter().map(move |tag| (tag, pose)));
     Ok(Intrinsics {
-        rms_px: rms(every.flat_map(|(tag, pose)| misses(&camera, pose, target, tag))),
+        rms_px: rms(every.flat_map(|(view, pose)| misses(&camera, pose, target, view))),
         views: views.iter().zip(poses).map(fit).collect(),
         sigma: sigma(&estimate.uncertainty),
-        tags: [kept, all - kept],
+        points: [kept, all - kept],
         coverage: coverage(&views, size),
         camera,
     })
@@ -200,19 +200,20 @@ fn camera(estimate: &PlanarIntrinsicsEstimate, size: [u32; 2]) -> Result<Camera,
         .ok_or_else(|| IntrinsicsError::Unsolved("it is not finite".to_owned()))
 }
 
-/// How far each corner of a tag is from where it is expected, px; nothing for one behind the
-/// camera.
+/// How far a point is from where it is expected, px; `None` for one behind the camera.
+fn miss(camera: &Camera, pose: &Iso3, (place, seen): (Point, Point)) -> Option<f64> {
+    let [u, v] = camera.project(pose, place)?;
+    Some((u - seen[0]).hypot(v - seen[1]))
+}
+
 fn misses<'a>(
     camera: &'a Camera,
     pose: &'a Iso3,
     target: &'a Target,
-    tag: &'a Tag,
+    view: &'a View,
 ) -> impl Iterator<Item = f64> + 'a {
-    let places = target.corners(tag.number).into_iter().flatten();
-    places.zip(&tag.corners).filter_map(|(place, seen)| {
-        let [u, v] = camera.project(pose, *place)?;
-        Some((u - seen[0]).hypot(v - seen[1]))
-    })
+    let pairs = view.pairs(target);
+    pairs.filter_map(|pair| miss(camera, pose, pair))
 }
 
 fn drop_outliers(
@@ -234,8 +235,13 @@ fn drop_outliers(
     };
     let most = OUTLIER_PX.max(OUTLIER * noise);
     for (view, pose) in views.iter_mut().zip(&estimate.params.camera_se3_target) {
-        view.tags
-            .retain(|tag| misses(&camera, pose, target, tag).all(|miss| miss <= most));
+        view.points.retain(|number, seen| {
+            let off = |place| miss(&camera, pose, (place, *seen));
+            target
+                .point(*number)
+                .and_then(off)
+                .is_none_or(|off| off <= most)
+        });
     }
 }
 
@@ -257,12 +263,8 @@ fn sigma(uncertainty: &Uncertainty) -> Result<Vec<(String, f64)>, String> {
 
 fn coverage(views: &[View], [width, height]: [u32; 2]) -> [usize; 9] {
     let mut coverage = [0; 9];
-    for [u, v] in views
-        .iter()
-        .flat_map(|view| &view.tags)
-        .flat_map(|tag| tag.corners)
-    {
-        let third = |x: f64, side: u32| ((3.0 * (x + 0.5) / f64::from(side)) as usize).min(2);
+    for [u, v] in views.iter().flat_map(|view| view.points.values()) {
+        let third = |x: &f64, side: u32| ((3.0 * (x + 0.5) / f64::from(side)) as usize).min(2);
         coverage[3 * third(v, height) + third(u, width)] += 1;
     }
     coverage

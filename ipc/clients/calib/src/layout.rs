@@ -1,4 +1,4 @@
-//! Whether the tags of images lie as on the board, and how else if not.
+//! Whether the points of images lie as on the board, and how else if not.
 //!
 //! A plane is seen by a homography (and some distortion), under which only the right order fits. It
 //! keeps cross ratios, which tell the gap.
@@ -6,14 +6,16 @@
 use vision_calibration_core::Pt2;
 use vision_calibration_linear::prelude::dlt_homography;
 
-use crate::target::{Corners, Target};
+use crate::target::{Point, Target};
 use crate::view::View;
-use tag_board::Board;
+use tag_board::{Board, Kind};
 
 /// A layout that fits so much better is the right one.
 const BETTER: f64 = 4.0;
 /// Of the side of a tag in the image: no lens shifts tags by more against a homography.
 const MOST: f64 = 0.25;
+/// Fewest points of a view that says something.
+const POINTS: usize = 12;
 /// Views that are looked at.
 const VIEWS: usize = 8;
 /// The gap may differ by this share.
@@ -36,7 +38,7 @@ pub enum LayoutError {
     Gap { found: f64, expected: f64 },
     /// None that is known fits.
     #[error(
-        "the tags do not lie as the board says: {found:.1} px off, with tags of {side:.0} px; is the board flat, and this the board of the file?"
+        "the corners do not lie as the board says: {found:.1} px off, with squares of {side:.0} px; is the board flat, and this the board of the file?"
     )]
     #[allow(missing_docs)]
     Unknown { found: f64, side: f64 },
@@ -52,26 +54,32 @@ pub enum LayoutError {
     },
 }
 
-/// Refuses views of another board; views of fewer than three tags say nothing.
+/// Refuses views of another board; views of fewer than twelve points say nothing.
 ///
 /// # Errors
 /// [`LayoutError`] says how the tags lie.
 pub fn check(views: &[View], board: &Board) -> Result<(), LayoutError> {
     let target = Target::from(board);
-    numbers(views, &target)?;
+    if !board.is_chess() {
+        numbers(views, &target)?;
+    }
     let mut known: Vec<View> = views.to_vec();
     for view in &mut known {
         view.keep_known(&target);
     }
-    known.retain(|view| view.tags.len() >= 3);
+    known.retain(|view| view.points.len() >= POINTS);
     // The views that see most say most.
-    known.sort_by_key(|view| std::cmp::Reverse(view.tags.len()));
+    known.sort_by_key(|view| std::cmp::Reverse(view.points.len()));
     known.truncate(VIEWS);
     let Some(found) = misfit(&known, &target) else {
         return Ok(());
     };
-    let side = side(&known);
-    let others = others(board).into_iter().filter_map(|(how, other)| {
+    let side = side(&known, &target, board);
+    let others = match board.kind {
+        Kind::Tags => others(board),
+        _ => Vec::new(),
+    };
+    let others = others.into_iter().filter_map(|(how, other)| {
         let fits = misfit(&known, &other)?;
         fits.is_finite().then_some((fits, how))
     });
@@ -82,6 +90,9 @@ pub fn check(views: &[View], board: &Board) -> Result<(), LayoutError> {
             return Err(LayoutError::Otherwise { found, fits, how });
         }
         _ => return Err(LayoutError::Unknown { found, side }),
+    }
+    if board.is_chess() {
+        return Ok(());
     }
     let expected = board.gap / board.tag_size;
     match gap(&known, board) {
@@ -96,15 +107,15 @@ pub fn check(views: &[View], board: &Board) -> Result<(), LayoutError> {
 fn gap(views: &[View], board: &Board) -> Option<f64> {
     let mut gaps = Vec::new();
     for view in views {
-        for tag in &view.tags {
+        for tag in view.tags() {
             let index = tag.number - board.first;
-            let beside = (index % board.columns + 1 < board.columns).then_some(1);
-            for (step, edges) in [
-                (beside, [[0, 1], [3, 2]]),
-                (Some(board.columns), [[0, 3], [1, 2]]),
-            ] {
-                let number = step.map(|step| tag.number + step);
-                let Some(next) = view.tags.iter().find(|tag| Some(tag.number) == number) else {
+            let beside = (index % board.columns + 1 < board.columns).then_some(tag.number + 1);
+            let below = match board.kind {
+                Kind::Aprilgrid => tag.number.checked_sub(board.columns),
+                _ => Some(tag.number + board.columns),
+            };
+            for (number, edges) in [(beside, [[0, 1], [3, 2]]), (below, [[0, 3], [1, 2]])] {
+                let Some(next) = view.tags().find(|tag| Some(tag.number) == number) else {
                     continue;
                 };
                 for [from, to] in edges {
@@ -133,7 +144,7 @@ fn numbers(views: &[View], target: &Target) -> Result<(), LayoutError> {
     let seen = || {
         views
             .iter()
-            .flat_map(|view| &view.tags)
+            .flat_map(|view| view.tags())
             .map(|tag| tag.number)
     };
     let strangers = seen().filter(|number| target.corners(*number).is_none());
@@ -209,11 +220,19 @@ fn misfit_of(view: &View, target: &Target) -> f64 {
     (squares.sum::<f64>() / places.len() as f64).sqrt()
 }
 
-/// The mean side of a tag in the images, px.
-fn side(views: &[View]) -> f64 {
-    let side = |[a, b, ..]: &Corners| (a[0] - b[0]).hypot(a[1] - b[1]);
-    let sides = views.iter().flat_map(|view| &view.tags);
-    let sides: Vec<f64> = sides.map(|tag| side(&tag.corners)).collect();
+/// The mean side of a tag, or of a square of a chessboard, in the images, px.
+fn side(views: &[View], target: &Target, board: &Board) -> f64 {
+    let length = board.square_size.unwrap_or(board.tag_size);
+    let apart = |a: Point, b: Point| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let sides = views.iter().flat_map(|view| {
+        let pairs: Vec<_> = view.pairs(target).collect();
+        let next = pairs.windows(2).map(|pair| {
+            let [(a, p), (b, q)] = [pair[0], pair[1]];
+            length * apart(p, q) / apart(a, b)
+        });
+        next.collect::<Vec<_>>()
+    });
+    let sides: Vec<f64> = sides.collect();
     sides.iter().sum::<f64>() / sides.len().max(1) as f64
 }
 
@@ -240,10 +259,7 @@ mod tests {
                 let corners = corners.map(|at| camera.project(&pose, at).unwrap());
                 Tag { number, corners }
             };
-            View {
-                name: String::new(),
-                tags: board.tags().map(square).collect(),
-            }
+            View::of_tags("", &board.tags().map(square).collect::<Vec<_>>())
         };
         [-0.3, 0.0, 0.3].map(look).to_vec()
     }
@@ -281,16 +297,22 @@ mod tests {
             first.contains("[0, 34] are seen, it has 100 to 134"),
             "{first}"
         );
-        let mut upward = seen.clone();
-        for tag in upward.iter_mut().flat_map(|view| &mut view.tags) {
-            tag.number = (4 - tag.number / 7) * 7 + tag.number % 7;
-        }
+        let renumbered = |number: fn(u32) -> u32| {
+            let tag = |tag: Tag| Tag {
+                number: number(tag.number),
+                ..tag
+            };
+            let views = seen
+                .iter()
+                .map(|view| view.tags().map(tag).collect::<Vec<_>>());
+            views
+                .map(|tags| View::of_tags("", &tags))
+                .collect::<Vec<_>>()
+        };
+        let upward = renumbered(|number| (4 - number / 7) * 7 + number % 7);
         let said = check(&upward, &board).unwrap_err().to_string();
         assert!(said.contains("Kalibr"), "{said}");
-        let mut mixed = seen.clone();
-        for tag in mixed.iter_mut().flat_map(|view| &mut view.tags) {
-            tag.number = tag.number * 11 % 35;
-        }
+        let mixed = renumbered(|number| number * 11 % 35);
         let said = check(&mixed, &board).unwrap_err().to_string();
         assert!(said.contains("is the board flat"), "{said}");
     }

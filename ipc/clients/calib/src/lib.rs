@@ -5,6 +5,8 @@
 
 pub mod arguments;
 pub mod camera;
+pub mod charuco;
+pub mod chessboard;
 pub mod command;
 pub mod detector;
 pub mod hand_eye;
@@ -18,6 +20,7 @@ pub mod picture;
 pub mod pose;
 pub mod pose_file;
 pub mod pose_fit;
+pub mod saddle;
 pub mod sheet;
 pub mod still;
 pub mod target;

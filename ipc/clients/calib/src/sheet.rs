@@ -2,8 +2,7 @@
 
 use std::fmt::Write;
 
-use markers::Family;
-use tag_board::Board;
+use tag_board::{Board, Kind};
 use vpc_camera::sheet::tag;
 
 /// A4, mm.
@@ -13,33 +12,63 @@ const MARGIN: f64 = 10.0;
 
 /// Draws a board in the middle of an A4 page, upright or across; of a larger page if it must be.
 pub fn svg(board: &Board) -> String {
-    let family = Family::default();
     let extent = board.extent().map(|side| 1e3 * side);
     let [width, height] = page(extent, 1e3 * board.module());
-    let (size, gap) = (1e3 * board.tag_size, 1e3 * board.gap);
-    let last = board.first + board.columns * board.rows - 1;
+    let size = 1e3 * board.tag_size;
     let mut text = format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}mm\" height=\"{height}mm\" viewBox=\"0 0 {width} {height}\">\n\
          <rect width=\"{width}\" height=\"{height}\" fill=\"#fff\"/>\n"
     );
-    for (number, corner) in board.tags() {
-        let corner = [0, 1].map(|k| 0.5 * [width, height][k] + 1e3 * corner[k]);
-        tag(&mut text, family, number, corner, size);
+    let place = |corner: [f64; 2]| [0, 1].map(|k| 0.5 * [width, height][k] + 1e3 * corner[k]);
+    for (corner, side) in board.squares() {
+        let ([x, y], side) = (place(corner), 1e3 * side);
+        let _ = writeln!(
+            text,
+            "<rect x=\"{x:.4}\" y=\"{y:.4}\" width=\"{side:.4}\" height=\"{side:.4}\"/>"
+        );
     }
-    let words = format!(
-        "36h11, {} x {}, tags {} to {last}: tag_size = {}, gap = {} (m). Print at 100 %; this line is 100 mm:",
-        board.columns, board.rows, board.first, board.tag_size, board.gap
-    );
+    let is_turned = board.kind == Kind::Charuco && board.family.is_upside_down();
+    for (number, corner) in board.tags() {
+        let corner = place(corner);
+        let [x, y] = corner.map(|x| x + 0.5 * size);
+        let turn = if is_turned { 180 } else { 0 };
+        let _ = writeln!(text, "<g transform=\"rotate({turn} {x:.4} {y:.4})\">");
+        tag(&mut text, board.family, number, corner, size);
+        text.push_str("</g>\n");
+    }
+    let words = format!("{}. Print at 100 %; this line is 100 mm:", words(board));
     let _ = writeln!(
         text,
         "<text x=\"{MARGIN}\" y=\"{}\" font-family=\"sans-serif\" font-size=\"2.6\">{words}</text>\n\
          <path d=\"M{} {}h100m-100 -1.2v2.4m100 -2.4v2.4\" stroke=\"#000\" stroke-width=\"0.2\" fill=\"none\"/>\n\
-         <!-- black squares of {size} mm, {gap} mm apart -->\n</svg>",
+         </svg>",
         height - 6.0,
         MARGIN,
         height - 3.6,
     );
     text
+}
+
+/// What is printed, for its margin.
+fn words(board: &Board) -> String {
+    let Board {
+        columns,
+        rows,
+        family,
+        tag_size,
+        gap,
+        first,
+        ..
+    } = board;
+    let tags = format!("{family}, {columns} x {rows}, tags from {first}: tag_size = {tag_size}");
+    match (board.kind, board.square_size) {
+        (Kind::Charuco, Some(square)) => format!("ChArUco, {tags}, square_size = {square} (m)"),
+        (Kind::Chessboard, Some(square)) => {
+            format!("{columns} x {rows} inner corners: square_size = {square} (m)")
+        }
+        (Kind::Aprilgrid, _) => format!("AprilGrid, {tags}, gap = {gap} (m)"),
+        _ => format!("{tags}, gap = {gap} (m)"),
+    }
 }
 
 /// Width and height, mm.

@@ -4,7 +4,7 @@ use vision_calibration_core::Iso3;
 
 use crate::view::View;
 
-/// Corners move by less from one frame to the next, RMS, px.
+/// Points move by less from one frame to the next, RMS, px.
 const MOVED_PX: f64 = 0.4;
 /// The flange stays within this, m and rad.
 const RESTS: [f64; 2] = [3e-4, 1e-3];
@@ -12,12 +12,12 @@ const RESTS: [f64; 2] = [3e-4, 1e-3];
 const REST: f64 = 0.8;
 /// Images that are older may show the arm before it came to rest, s.
 pub const LATE: f64 = 0.5;
-/// A view is new where its corners are this far from those of every other, RMS, of the image's
-/// width; or where they have no tag in common; or where the flange is turned by so much, rad.
+/// A view is new where its points are this far from those of every other, RMS, of the image's
+/// width; or where they have no point in common; or where the flange is turned by so much, rad.
 const NEW: f64 = 0.04;
 const TURNED: f64 = 0.1;
-/// Fewest tags of a view that is taken.
-const TAGS: usize = 2;
+/// Fewest points of a view that is taken.
+const POINTS: usize = 8;
 
 /// Watches frames and the arm.
 #[derive(Debug)]
@@ -57,7 +57,7 @@ impl Still {
     pub fn take(&mut self, time: f64, view: &View) -> bool {
         let moved = self.last.as_ref().and_then(|last| distance(last, view));
         self.last = Some(view.clone());
-        if moved.is_none_or(|moved| moved > MOVED_PX) || view.tags.len() < TAGS {
+        if moved.is_none_or(|moved| moved > MOVED_PX) || view.points.len() < POINTS {
             self.since = None;
             return false;
         }
@@ -85,16 +85,13 @@ impl Still {
     }
 }
 
-/// How far the corners of common tags are apart, RMS, px; `None` without common tags.
+/// How far common points are apart, RMS, px; `None` without common points.
 fn distance(a: &View, b: &View) -> Option<f64> {
-    let common = a.tags.iter().filter_map(|tag| {
-        let other = b.tags.iter().find(|other| other.number == tag.number)?;
-        Some(tag.corners.iter().zip(other.corners))
+    let common = a.points.iter().filter_map(|(number, p)| {
+        let q = b.points.get(number)?;
+        Some((p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2))
     });
-    let squares = common
-        .flatten()
-        .map(|(p, q)| (p[0] - q[0]).powi(2) + (p[1] - q[1]).powi(2));
-    let (sum, count) = squares.fold((0.0, 0), |(sum, count), square| (sum + square, count + 1));
+    let (sum, count) = common.fold((0.0, 0), |(sum, count), square| (sum + square, count + 1));
     (count > 0).then(|| (sum / f64::from(count)).sqrt())
 }
 
@@ -108,10 +105,7 @@ mod tests {
             number,
             corners: [[u, 10.0], [u + 20.0, 10.0], [u + 20.0, 30.0], [u, 30.0]],
         };
-        View {
-            name: String::new(),
-            tags: [0, 1].map(tag).to_vec(),
-        }
+        View::of_tags("", &[0, 1].map(tag))
     }
 
     /// Frames from a time on, 0.1 s apart: when one is taken.

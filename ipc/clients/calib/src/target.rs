@@ -1,4 +1,4 @@
-//! What is looked at: tags at known places on a plane.
+//! What is looked at: points at known places on a plane.
 
 use std::collections::BTreeMap;
 
@@ -6,19 +6,31 @@ use scene::Scene;
 
 use tag_board::Board;
 
+/// A place on the board, m, or in an image, px.
+pub type Point = [f64; 2];
 /// Corners of a tag's black square: upper left, upper right, lower right, lower left.
-pub type Corners = [[f64; 2]; 4];
+pub type Corners = [Point; 4];
 
-/// Tags on the plane z = 0: x to the right, y down, z away from the viewer.
+/// Points on the plane z = 0: x to the right, y down, z away from the viewer. Tag n has the numbers
+/// 4 n to 4 n + 3 for its corners; those of a chessboard count row by row.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Target {
-    /// Corners of each tag, m, by its number.
-    tags: BTreeMap<u32, Corners>,
+    /// Each point, m, by its number.
+    points: BTreeMap<u32, Point>,
+}
+
+/// Corners of a square, from its upper left one and its side.
+pub(crate) fn corners_of([x, y]: Point, side: f64) -> Corners {
+    [[x, y], [x + side, y], [x + side, y + side], [x, y + side]]
 }
 
 impl From<&Board> for Target {
     /// The origin is the centre of the board.
     fn from(board: &Board) -> Self {
+        if board.is_chess() {
+            let points = (0..).zip(board.corners()).collect();
+            return Self { points };
+        }
         let mut target = Self::default();
         for (number, corner) in board.tags() {
             target.place(number, corner, board.tag_size);
@@ -39,31 +51,42 @@ impl Target {
     }
 
     /// Adds a tag whose upper left corner and side are these, m.
-    pub(crate) fn place(&mut self, number: u32, [x, y]: [f64; 2], side: f64) {
-        let corners = [[x, y], [x + side, y], [x + side, y + side], [x, y + side]];
-        self.tags.insert(number, corners);
+    pub(crate) fn place(&mut self, number: u32, corner: Point, side: f64) {
+        self.points
+            .extend((4 * number..).zip(corners_of(corner, side)));
+    }
+
+    /// A point, m, if there is one of this number.
+    pub fn point(&self, number: u32) -> Option<Point> {
+        self.points.get(&number).copied()
     }
 
     /// Corners of a tag, m, if it has a place on the target.
-    pub fn corners(&self, number: u32) -> Option<&Corners> {
-        self.tags.get(&number)
+    pub fn corners(&self, number: u32) -> Option<Corners> {
+        tag(&self.points, number)
     }
 
-    /// The number of tags.
+    /// The number of points.
     pub fn len(&self) -> usize {
-        self.tags.len()
+        self.points.len()
     }
 
-    /// Whether it has no tags.
+    /// Whether it has no points.
     pub fn is_empty(&self) -> bool {
-        self.tags.is_empty()
+        self.points.is_empty()
     }
 
-    /// Lowest and highest number.
+    /// Lowest and highest number of a tag.
     pub fn range(&self) -> [u32; 2] {
-        let ends = [self.tags.first_key_value(), self.tags.last_key_value()];
-        ends.map(|end| end.map_or(0, |(number, _)| *number))
+        let ends = [self.points.first_key_value(), self.points.last_key_value()];
+        ends.map(|end| end.map_or(0, |(number, _)| number / 4))
     }
+}
+
+/// The corners of tag `number` among points.
+pub(crate) fn tag(points: &BTreeMap<u32, Point>, number: u32) -> Option<Corners> {
+    let corner = |k: u32| points.get(&number.checked_mul(4)?.checked_add(k)?).copied();
+    Some([corner(0)?, corner(1)?, corner(2)?, corner(3)?])
 }
 
 #[cfg(test)]
@@ -72,9 +95,9 @@ mod tests {
 
     #[test]
     fn a_board_and_a_scene_place_the_centres_where_they_say() {
-        let centre = |corners: &Corners| [0, 1].map(|k| 0.5 * (corners[0][k] + corners[2][k]));
+        let centre = |corners: Corners| [0, 1].map(|k| 0.5 * (corners[0][k] + corners[2][k]));
         let board = Target::from(&Board::default());
-        assert_eq!((board.len(), board.range()), (35, [0, 34]));
+        assert_eq!((board.len(), board.range()), (4 * 35, [0, 34]));
         let middle = centre(board.corners(17).unwrap());
         assert!(middle[0].abs() < 1e-12 && middle[1].abs() < 1e-12);
         let scene = Scene::parse(scene::PAPER_ROBOT, "robot").unwrap();

@@ -1,11 +1,11 @@
-//! The tags of an image.
+//! What an image shows of the target.
 
 use std::collections::BTreeMap;
 
 use vision_calibration_core::{CorrespondenceView, Pt2, Pt3};
 use vpc_camera::lens::Lens;
 
-use crate::target::{Corners, Target};
+use crate::target::{self, Corners, Point, Target};
 
 /// A tag in an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,53 +16,59 @@ pub struct Tag {
     pub corners: Corners,
 }
 
-/// The tags that were seen in an image.
+/// The points of the target that were seen in an image.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct View {
     /// The name of the image, for messages.
     pub name: String,
-    /// What was seen.
-    pub tags: Vec<Tag>,
+    /// What was seen, px, by the target's numbers.
+    pub points: BTreeMap<u32, Point>,
 }
 
 impl View {
-    /// Drops tags that have no place on the target, and those whose number was seen twice.
-    pub fn keep_known(&mut self, target: &Target) {
-        let mut counts = BTreeMap::new();
-        for tag in &self.tags {
-            *counts.entry(tag.number).or_insert(0) += 1;
+    /// The corners of tags, without those whose number was seen twice.
+    pub fn of_tags(name: &str, tags: &[Tag]) -> Self {
+        let is_one = |tag: &&Tag| tags.iter().filter(|t| t.number == tag.number).count() == 1;
+        let corners = |tag: &Tag| (4 * tag.number..).zip(tag.corners);
+        Self {
+            name: name.to_owned(),
+            points: tags.iter().filter(is_one).flat_map(corners).collect(),
         }
-        self.tags
-            .retain(|tag| counts[&tag.number] == 1 && target.corners(tag.number).is_some());
     }
 
-    /// Moves corners to where a pinhole with the lens's focal lengths and principal point sees them;
-    /// drops tags of which it sees no corner.
+    /// The tags that were seen whole.
+    pub fn tags(&self) -> impl Iterator<Item = Tag> + '_ {
+        let first = self.points.keys().filter(|number| number.is_multiple_of(4));
+        first.filter_map(|first| {
+            let number = first / 4;
+            let corners = target::tag(&self.points, number)?;
+            Some(Tag { number, corners })
+        })
+    }
+
+    /// Drops points that have no place on the target.
+    pub fn keep_known(&mut self, target: &Target) {
+        self.points
+            .retain(|number, _| target.point(*number).is_some());
+    }
+
+    /// Moves points to where a pinhole with the lens's focal lengths and principal point sees them;
+    /// drops those that it does not see.
     pub fn straighten(&mut self, lens: &Lens) {
-        let pixel = |[x, y]: [f64; 2]| {
+        let pixel = |[x, y]: Point| {
             let ([fx, fy], [cx, cy]) = (lens.focal, lens.centre);
             [fx * x + cx, fy * y + cy]
         };
-        self.tags.retain_mut(|tag| {
-            let straight = tag.corners.map(|corner| lens.normalize(corner).map(pixel));
-            let [Some(a), Some(b), Some(c), Some(d)] = straight else {
-                return false;
-            };
-            tag.corners = [a, b, c, d];
-            true
+        self.points.retain(|_, point| {
+            let straight = lens.normalize(*point).map(pixel);
+            straight.inspect(|straight| *point = *straight).is_some()
         });
     }
 
-    /// Corners on the target, m, with those in the image, px.
-    pub fn pairs<'a>(
-        &'a self,
-        target: &'a Target,
-    ) -> impl Iterator<Item = ([f64; 2], [f64; 2])> + 'a {
-        let known = self.tags.iter();
-        known.flat_map(|tag| {
-            let places = target.corners(tag.number).into_iter().flatten();
-            places.copied().zip(tag.corners)
-        })
+    /// Points of the target, m, with those in the image, px.
+    pub fn pairs<'a>(&'a self, target: &'a Target) -> impl Iterator<Item = (Point, Point)> + 'a {
+        let known = self.points.iter();
+        known.filter_map(|(number, seen)| Some((target.point(*number)?, *seen)))
     }
 
     /// The same, as the library takes it; `None` for fewer than four corners.
@@ -89,15 +95,12 @@ mod tests {
             number,
             corners: [[0.0; 2]; 4],
         };
-        let mut view = View {
-            name: "a".into(),
-            tags: [3, 4, 4, 99].map(tag).to_vec(),
-        };
+        let mut view = View::of_tags("a", &[3, 4, 4, 99].map(tag));
         view.keep_known(&target);
-        assert_eq!(view.tags, [tag(3)]);
+        assert_eq!(view.tags().collect::<Vec<_>>(), [tag(3)]);
         assert_eq!(view.pairs(&target).count(), 4);
         assert!(view.correspondences(&target).is_some());
-        view.tags.clear();
+        view.points.clear();
         assert!(view.correspondences(&target).is_none());
     }
 }

@@ -10,7 +10,7 @@ use vpc_camera::lens;
 use crate::arguments::HandEyeArguments;
 use crate::camera::Camera;
 use crate::command::views::Views;
-use crate::command::{Failure, check_outputs, conclude, views};
+use crate::command::{Failure, check_outputs, conclude, oriented, views};
 use crate::hand_eye::{self, HandEye, Mounting, Pair};
 use crate::pose_file::{self, RobotPose};
 use crate::view::View;
@@ -44,6 +44,7 @@ fn of_images(arguments: &HandEyeArguments, stop: &AtomicBool) -> Result<HandEye,
     };
     let lens = lens::read(camera)?;
     let (target, board) = arguments.target.read()?;
+    let mut detector = oriented(board)?;
     let (size, mut pairs) = match &arguments.images.images {
         Some(folder) => {
             let poses = arguments
@@ -51,11 +52,11 @@ fn of_images(arguments: &HandEyeArguments, stop: &AtomicBool) -> Result<HandEye,
                 .clone()
                 .unwrap_or_else(|| folder.join("poses.csv"));
             let poses = pose_file::read(&poses)?;
-            let taken = views::of_folder(folder)?;
+            let taken = views::of_folder(folder, &mut detector)?;
             (taken.size, together(taken, &poses, folder)?)
         }
         None => {
-            let taken = views::of_camera(&arguments.images, &target, true, stop)?;
+            let taken = views::of_camera(&arguments.images, detector, &target, true, stop)?;
             let pair = |(view, q): (View, Option<_>)| {
                 q.map(|q| Pair {
                     flange: pose_file::flange(q),

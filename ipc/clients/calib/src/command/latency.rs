@@ -13,7 +13,7 @@ use vpc_camera::lens::{self, Lens};
 
 use crate::arguments::LatencyArguments;
 use crate::camera::Camera;
-use crate::command::Failure;
+use crate::command::{Failure, oriented};
 use crate::detector::Detector;
 use crate::latency::{self, Frame, Latency, Setup};
 use crate::live::{self, News};
@@ -50,12 +50,12 @@ fn of_images(arguments: &LatencyArguments, stop: &AtomicBool) -> Result<Latency,
     };
     let lens = lens::read(camera)?;
     let mount = mount(hand_eye)?;
-    let (target, _) = arguments.target.read()?;
+    let (target, board) = arguments.target.read()?;
+    let mut detector = oriented(board)?;
     if !(1.0..=600.0).contains(&arguments.seconds) {
         let error = FileError::value("command line", "--seconds", arguments.seconds, "1 to 600 s");
         return Err(error.into());
     }
-    let mut detector = Detector::new()?;
     let (mut frames, mut arm) = (Vec::<Frame>::new(), Trajectory::default());
     let mut failed = None;
     eprintln!(

@@ -27,8 +27,7 @@ pub struct Views {
 }
 
 /// The images of a folder.
-pub fn of_folder(folder: &Path) -> Result<Views, Failure> {
-    let mut detector = Detector::new()?;
+pub fn of_folder(folder: &Path, detector: &mut Detector) -> Result<Views, Failure> {
     let mut views = Vec::new();
     let mut first: Option<(PathBuf, [u32; 2])> = None;
     for path in picture::folder(folder)? {
@@ -51,7 +50,7 @@ pub fn of_folder(folder: &Path) -> Result<Views, Failure> {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         let Some(grey) = picture.grey() else { continue };
         let view = detector.view(&name, &grey)?;
-        eprintln!("{name}: {} tags", view.tags.len());
+        eprintln!("{name}: {} corners", view.points.len());
         views.push((view, None));
     }
     let size = first.map_or([0; 2], |(_, size)| size);
@@ -61,12 +60,13 @@ pub fn of_folder(folder: &Path) -> Result<Views, Failure> {
 /// Takes a view whenever nothing moves, until there are enough or `stop` is set.
 pub fn of_camera(
     arguments: &ImageArguments,
+    detector: Detector,
     target: &Target,
     wants_robot: bool,
     stop: &AtomicBool,
 ) -> Result<Views, Failure> {
     let mut taker = Taker {
-        detector: Detector::new()?,
+        detector,
         folder: Folder::new(arguments.save.as_deref())?,
         still: None,
         joints: None,
@@ -143,7 +143,7 @@ impl Taker {
             return Ok(());
         }
         if still.take(now, &view) {
-            eprintln!("taken {}: {} tags", still.count(), view.tags.len());
+            eprintln!("taken {}: {} corners", still.count(), view.points.len());
             self.folder.add(&name, image, self.joints.as_ref())?;
             self.taken.views.push((view, self.joints));
         }

@@ -13,9 +13,9 @@ const TILT_DEG: f64 = 15.0;
 const FOCAL: f64 = 0.001;
 /// Greatest standard deviation of the principal point, of the image's width.
 const CENTER: f64 = 0.002;
-/// Greatest reprojection error, RMS, px; tags are found to 0.1 px.
+/// Greatest reprojection error, RMS, px; corners are found to 0.1 px.
 const RMS_PX: f64 = 0.5;
-/// Greatest share of tags that are dropped.
+/// Greatest share of points that are dropped.
 const DROPPED: f64 = 0.05;
 /// A view with so many times the median error is worth a word.
 const WORST: f64 = 3.0;
@@ -66,10 +66,10 @@ impl Intrinsics {
                 self.rms_px
             )
         });
-        let [kept, dropped] = self.tags;
+        let [kept, dropped] = self.points;
         verdict.refuse_if(dropped as f64 > DROPPED * (kept + dropped) as f64, || {
             format!(
-                "{dropped} of {} tags miss their places; is the board flat, are images sharp?",
+                "{dropped} of {} corners miss their places; is the board flat, are images sharp?",
                 kept + dropped
             )
         });
@@ -91,7 +91,7 @@ impl Intrinsics {
         let empty: Vec<_> = empty.map(|(name, _)| *name).collect();
         verdict.refuse_if(!empty.is_empty(), || {
             format!(
-                "hardly a tag was seen in the {} of the image; take views with tags there",
+                "hardly a corner was seen in the {} of the image; take views with the board there",
                 empty.join(", ")
             )
         });
@@ -124,10 +124,10 @@ impl fmt::Display for Intrinsics {
                 None => writeln!(f, "    fixed")?,
             }
         }
-        let [kept, dropped] = self.tags;
+        let [kept, dropped] = self.points;
         writeln!(
             f,
-            "{} views, {kept} tags, {dropped} dropped; reprojection error {:.3} px RMS",
+            "{} views, {kept} corners, {dropped} dropped; reprojection error {:.3} px RMS",
             self.views.len(),
             self.rms_px
         )?;

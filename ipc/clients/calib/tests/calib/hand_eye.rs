@@ -28,7 +28,7 @@ pub fn pairs(chance: &mut Chance, count: usize, tilt_deg: f64, robot: [f64; 2]) 
     while pairs.len() < count {
         let pose = chance.pose(tilt_deg);
         let mut view = chance.view(&CAMERA, &Board::default(), &pose, 0.05);
-        if view.tags.len() >= 10 {
+        if view.points.len() >= 40 {
             view.name = format!("{:02}.png", pairs.len());
             let flange = place() * pose.inverse() * mount().inverse();
             let miss = Iso3::new(

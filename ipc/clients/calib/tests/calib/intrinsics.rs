@@ -58,16 +58,16 @@ fn too_few_views_are_refused_and_few_are_not_good_enough() {
 fn a_misread_corner_is_dropped_and_a_bent_board_refused() {
     let mut views = Chance::new(3).views(14, 35.0, 0.05);
     for view in &mut views[..4] {
-        view.tags[0].corners[2][0] += 4.0;
+        let first = view.points.first_entry();
+        first.unwrap().get_mut()[0] += 4.0;
     }
     let result = found(&views).unwrap();
-    assert_eq!(result.tags[1], 4);
+    assert_eq!(result.points[1], 4);
     assert!(result.verdict().is_good(), "{}", result.verdict());
     assert!((result.camera.focal[0] / CAMERA.focal[0] - 1.0).abs() < 0.001);
     // Every third tag sits elsewhere: a board whose paper is wavy.
-    for tag in views.iter_mut().flat_map(|view| &mut view.tags) {
-        let shift = f64::from(tag.number % 3) * 2.0;
-        tag.corners = tag.corners.map(|[u, v]| [u + shift, v]);
+    for (number, point) in views.iter_mut().flat_map(|view| &mut view.points) {
+        point[0] += f64::from(number / 4 % 3) * 2.0;
     }
     let said = found(&views).unwrap().verdict().to_string();
     assert!(said.contains("is the board flat"), "{said}");
@@ -77,8 +77,7 @@ fn a_misread_corner_is_dropped_and_a_bent_board_refused() {
 fn views_in_one_part_of_the_image_are_not_good_enough() {
     let mut views = Chance::new(4).views(40, 35.0, 0.05);
     for view in &mut views {
-        view.tags
-            .retain(|tag| tag.corners.iter().all(|[u, v]| *u < 420.0 && *v > 165.0));
+        view.points.retain(|_, [u, v]| *u < 420.0 && *v > 165.0);
     }
     let said = found(&views).unwrap().verdict().to_string();
     assert!(

@@ -74,15 +74,13 @@ fn record(chance: &mut Chance, wiggle: &Wiggle, truth: &Truth) -> (Vec<Frame>, T
         };
         let mut view = chance.view(&CAMERA, &Board::default(), &exposed(0.0), 0.0);
         let target = Target::from(&Board::default());
-        for tag in &mut view.tags {
-            let places = *target.corners(tag.number).unwrap();
-            for (corner, place) in tag.corners.iter_mut().zip(places) {
-                for _ in 0..3 {
-                    let row = (corner[1] + 0.5) / f64::from(CAMERA.size[1]) - 0.5;
-                    *corner = CAMERA.project(&exposed(row), place).unwrap();
-                }
-                *corner = corner.map(|x| x + chance.normal(truth.noise));
+        for (number, corner) in &mut view.points {
+            for _ in 0..3 {
+                let row = (corner[1] + 0.5) / f64::from(CAMERA.size[1]) - 0.5;
+                let place = target.point(*number).unwrap();
+                *corner = CAMERA.project(&exposed(row), place).unwrap();
             }
+            *corner = corner.map(|x| x + chance.normal(truth.noise));
         }
         // One frame in fifty is lost.
         if chance.unit() < 0.96 {

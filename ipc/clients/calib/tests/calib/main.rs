@@ -1,5 +1,6 @@
 //! The calibrations against known truth.
 
+mod boards;
 mod emulator;
 mod hand_eye;
 mod intrinsics;

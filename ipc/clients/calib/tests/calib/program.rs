@@ -174,17 +174,14 @@ fn bad_input_is_refused_with_words_and_an_exit_code() {
         let arguments = ["intrinsics", "--images", text(&images), "-o", text(&out)];
         said(&[&arguments[..], more].concat())
     };
-    let hand = || {
-        said(&[
-            "hand-eye",
-            "--images",
-            text(&images),
-            "--camera",
-            text(&camera),
-            "-o",
-            text(&out),
-        ])
+    let hand_with = |more: &[&str]| {
+        let (images, camera, out) = (text(&images), text(&camera), text(&out));
+        let arguments = [
+            "hand-eye", "--images", images, "--camera", camera, "-o", out,
+        ];
+        said(&[&arguments[..], more].concat())
     };
+    let hand = || hand_with(&[]);
     let expect = |(code, words): (Option<i32>, String), expected: i32, part: &str| {
         assert!(words.contains(part), "{part}: {words}");
         assert_eq!(code, Some(expected), "{words}");
@@ -217,6 +214,10 @@ fn bad_input_is_refused_with_words_and_an_exit_code() {
     expect(live, 69, "/dev/video99: there is no such device");
     let nowhere = said(&["intrinsics", "--config", "/nowhere.toml"]);
     expect(nowhere, 66, "/nowhere.toml: cannot read");
+    let chess = "kind = \"chessboard\"\nsquare_size = 0.02\ncolumns = 9\nrows = 7\n";
+    let chess = folder.place.file("chess.toml", chess);
+    let same = "9 x 7 inner corners looks the same upside down";
+    expect(hand_with(&["--board", text(&chess)]), 78, same);
     // Poses.
     let lines = folder.lines();
     let change = |number: usize, to: &dyn Fn(&str) -> String| {

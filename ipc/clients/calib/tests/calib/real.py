@@ -42,10 +42,14 @@ def recorded(folder):
         yield flange, pose(reading["T_cam_target_rvec"], reading["T_cam_target_tvec"])
 
 
+def lens(folder):
+    model = xml.etree.ElementTree.parse(folder / "franka_camera.xml").find(".//model")
+    return [float(model.find(key).text) for key in ("px", "py", "u0", "v0")]
+
+
 def pictured(folder, find, points, flags):
     """Pictures with poses of the flange in files beside them."""
-    model = xml.etree.ElementTree.parse(folder / "franka_camera.xml").find(".//model")
-    px, py, u, v = (float(model.find(key).text) for key in ("px", "py", "u0", "v0"))
+    px, py, u, v = lens(folder)
     camera = np.array([[px, 0, u], [0, py, v], [0, 0, 1]])
     for number in range(1, 9):
         text = (folder / f"franka_pose_rPe_{number}.yaml").read_text()
@@ -100,6 +104,7 @@ def hand_eye(folder):
             "name": name,
             "poses": [[flange.tolist(), board.tolist()] for flange, board in zip(flanges, boards)],
             "scatter": scatters,
+            "camera": None if name == "franka" else lens(folder / f"hand-eye/data-{name.replace(' ', '-')}"),
         }
 
 

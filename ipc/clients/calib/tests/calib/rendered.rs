@@ -40,7 +40,7 @@ impl Studio {
         let tags = Tag::board(columns, rows, board.tag_size, board.pitch());
         Self {
             renderer: Renderer::with_tags(&scene, &look, &tags),
-            detector: Detector::new().unwrap(),
+            detector: Detector::new(board).unwrap(),
         }
     }
 
@@ -73,8 +73,8 @@ fn corners_of_a_board_are_found_to_a_tenth_of_a_pixel() {
     for _ in 0..20 {
         let pose = chance.pose(35.0);
         let view = studio.view("a.png", &pose);
-        let whole = chance.view(&PINHOLE, &board, &pose, 0.0).tags.len();
-        tags = [tags[0] + view.tags.len(), tags[1] + whole];
+        let whole = chance.view(&PINHOLE, &board, &pose, 0.0).tags().count();
+        tags = [tags[0] + view.tags().count(), tags[1] + whole];
         for (place, [u, v]) in view.pairs(&target) {
             let [a, b] = PINHOLE.project(&pose, place).unwrap();
             let off = (u - a).hypot(v - b);
@@ -100,7 +100,7 @@ fn rendered_images_give_focal_length_and_mounting() {
         while pairs.len() < 14 {
             let pose = chance.pose(35.0);
             let view = studio.view(&format!("{:02}.png", pairs.len()), &pose);
-            if view.tags.len() >= 10 {
+            if view.points.len() >= 40 {
                 let miss = Iso3::new(
                     chance.vector(PANDA[0]),
                     chance.vector(PANDA[1].to_radians()),

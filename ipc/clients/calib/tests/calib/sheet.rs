@@ -1,4 +1,4 @@
-//! The printed board is the board: its tags are found where the file says.
+//! The printed board is the board: its corners are found where the file says.
 
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg;
@@ -7,6 +7,8 @@ use vpc_calib::detector::Detector;
 use vpc_calib::picture::Picture;
 use vpc_calib::sheet;
 use vpc_calib::target::Target;
+
+use crate::boards::boards;
 
 /// Dots a mm, and by how much the sheet is turned, deg: no camera sees it straight on its pixels.
 const DOTS: f64 = 3.0;
@@ -43,24 +45,32 @@ fn blurred(pixels: &[u8], step: usize) -> Vec<u8> {
 }
 
 #[test]
-fn a_printed_board_has_its_tags_where_the_file_says() {
+fn a_printed_board_has_its_corners_where_the_file_says() {
     let small = Board {
         columns: 9,
         rows: 14,
         tag_size: 0.016,
         gap: 0.004,
         first: 440,
+        ..Board::default()
     };
-    for board in [Board::default(), small] {
+    let others = boards().into_iter().map(|(_, board)| board);
+    for board in [Board::default(), small].into_iter().chain(others) {
         let picture = printed(&board);
-        let mut view = Detector::new()
+        let mut view = Detector::new(&board)
             .unwrap()
             .view("sheet", &picture.grey().unwrap())
             .unwrap();
         let target = Target::from(&board);
-        assert_eq!(view.tags.len(), target.len());
+        assert_eq!(view.points.len(), target.len());
         view.keep_known(&target);
-        assert_eq!(view.tags.len(), target.len());
+        assert_eq!(view.points.len(), target.len());
+        // Tags are fitted whole; where squares meet there are fewer pixels.
+        let bar = if board.square_size.is_some() {
+            0.025
+        } else {
+            0.02
+        };
         for ([x, y], [u, v]) in view.pairs(&target) {
             // The centre of the first pixel is (0, 0).
             let [width, height] = picture.size.map(f64::from);
@@ -68,7 +78,7 @@ fn a_printed_board_has_its_tags_where_the_file_says() {
             let (sine, cosine) = TURN.to_radians().sin_cos();
             let mm = [cosine * a + sine * b, cosine * b - sine * a].map(|x| x / DOTS);
             let off = (mm[0] - 1e3 * x).hypot(mm[1] - 1e3 * y);
-            assert!(off < 0.02, "{off} mm at {x} {y}");
+            assert!(off < bar, "{off} mm at {x} {y}");
         }
     }
 }

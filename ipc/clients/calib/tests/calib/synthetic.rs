@@ -71,7 +71,7 @@ impl Chance {
 
     /// What a camera sees of a board: whole tags, with this much noise of each coordinate, px.
     pub fn view(&mut self, camera: &Camera, board: &Board, pose: &Iso3, noise: f64) -> View {
-        let mut view = View::default();
+        let mut tags = Vec::new();
         let target = vpc_calib::target::Target::from(board);
         let inside = |[u, v]: [f64; 2]| {
             let [width, height] = camera.size.map(f64::from);
@@ -82,10 +82,10 @@ impl Chance {
             let seen = places.map(|at| camera.project(pose, at).filter(|pixel| inside(*pixel)));
             if let [Some(a), Some(b), Some(c), Some(d)] = seen {
                 let corners = [a, b, c, d].map(|pixel| pixel.map(|x| x + self.normal(noise)));
-                view.tags.push(Tag { number, corners });
+                tags.push(Tag { number, corners });
             }
         }
-        view
+        View::of_tags("", &tags)
     }
 
     /// Views that show ten tags or more.
@@ -95,7 +95,7 @@ impl Chance {
         while views.len() < count {
             let pose = self.pose(tilt_deg);
             let view = self.view(&CAMERA, &board, &pose, noise);
-            if view.tags.len() >= 10 {
+            if view.points.len() >= 40 {
                 let name = format!("{:02}.png", views.len());
                 views.push(View { name, ..view });
             }
