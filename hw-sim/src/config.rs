@@ -270,7 +270,11 @@ fn fci(
         !arguments.unshaped,
         "commands of a client: without --unshaped",
     )?;
-    Ok(Some(FciSettings { address, version }))
+    Ok(Some(FciSettings {
+        address,
+        version,
+        desk_decimals: keys.truth.desk_decimals,
+    }))
 }
 
 /// Returns the JSON Schema of a configuration file.
@@ -528,6 +532,10 @@ mod tests {
             (
                 "[truth]\nfocal = 0.9",
                 ["truth.focal", "0.9", "-0.5 to 0.5"],
+            ),
+            (
+                "[truth]\ndesk_decimals = 16",
+                ["truth.desk_decimals", "16", "0 to 15"],
             ),
             ("[truth]\ngloss = 256.0", ["truth.gloss", "256", "0 to 255"]),
             (

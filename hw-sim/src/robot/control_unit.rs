@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 
 use fci::message::{IDENTITY, Kind, Mode as WireMode, Transform};
 use fci::{Answer, Controller, Event, Generator, Load, Request, Server, Ticket, Version, errors};
-use nalgebra::{Matrix3, Rotation3, Translation3, Vector3};
+use nalgebra::{Matrix3, Matrix4, Rotation3, Translation3, Vector3};
 use panda::{
     Command, Errors, Joints, Mode, Motion, MotionKind, Pose, RequestError, Robot, State, Twist,
 };
@@ -27,6 +27,8 @@ pub struct FciSettings {
     pub address: SocketAddr,
     /// Which version it speaks.
     pub version: Version,
+    /// Decimals of F_T_NE at the desk; 0: all.
+    pub desk_decimals: u32,
 }
 
 /// The control unit.
@@ -43,6 +45,7 @@ pub struct ControlUnit {
     /// What clients have set that moves nothing here.
     stiffness: Transform,
     load: Load,
+    desk_decimals: u32,
 }
 
 /// A motion that was begun.
@@ -68,6 +71,7 @@ impl ControlUnit {
             braking: None,
             stiffness: IDENTITY,
             load: Load::default(),
+            desk_decimals: settings.desk_decimals,
         })
     }
 
@@ -257,14 +261,21 @@ impl ControlUnit {
     fn told(&self, state: &State) -> fci::State {
         let motion = self.motion.filter(|_| state.robot_mode == Mode::Move);
         let elbow = |q: &Joints| [q[2], if q[3] > STRETCHED { 1.0 } else { -1.0 }];
+        // The robot multiplies what the desk has, rounded or not.
+        let f_t_ne = rounded(state.f_t_ne.to_homogeneous(), self.desk_decimals);
+        let f_t_ee = f_t_ne * state.ne_t_ee.to_homogeneous();
+        let told = |pose: &Pose| match self.desk_decimals {
+            0 => columns(pose),
+            _ => flat(&((pose * state.f_t_ee.inverse()).to_homogeneous() * f_t_ee)),
+        };
         fci::State {
             message_id: state.id,
-            o_t_ee: columns(&state.o_t_ee),
-            o_t_ee_d: columns(&state.o_t_ee_d),
-            o_t_ee_c: columns(&state.o_t_ee_c),
-            f_t_ee: columns(&state.f_t_ee),
+            o_t_ee: told(&state.o_t_ee),
+            o_t_ee_d: told(&state.o_t_ee_d),
+            o_t_ee_c: told(&state.o_t_ee_c),
+            f_t_ee: told(&state.f_t_ee),
             ee_t_k: self.stiffness,
-            f_t_ne: columns(&state.f_t_ne),
+            f_t_ne: flat(&f_t_ne),
             ne_t_ee: columns(&state.ne_t_ee),
             load: self.load,
             elbow: elbow(&state.q),
@@ -299,7 +310,19 @@ fn flags(errors: Errors) -> [bool; errors::COUNT] {
 
 /// A pose, column by column.
 fn columns(pose: &Pose) -> Transform {
-    let matrix = pose.to_homogeneous();
+    flat(&pose.to_homogeneous())
+}
+
+/// To so many decimals; 0: as it is.
+fn rounded(matrix: Matrix4<f64>, decimals: u32) -> Matrix4<f64> {
+    let scale = 10f64.powi(decimals.cast_signed());
+    match decimals {
+        0 => matrix,
+        _ => matrix.map(|x| (scale * x).round() / scale),
+    }
+}
+
+fn flat(matrix: &Matrix4<f64>) -> Transform {
     let mut columns = [0.0; 16];
     columns.copy_from_slice(matrix.as_slice());
     columns
@@ -350,6 +373,32 @@ mod tests {
             let mut wrong = sent;
             wrong[place] = value;
             assert_eq!(pose(&wrong), None);
+        }
+    }
+
+    #[test]
+    fn a_rounded_desk_makes_rotations_that_are_none_and_leaves_the_flange_where_it_is() {
+        let settings = |desk_decimals| FciSettings {
+            address: "127.0.0.1:0".parse().unwrap(),
+            version: Version::V5,
+            desk_decimals,
+        };
+        let robot = panda::RobotSettings::with_hand();
+        let robot = Robot::new(robot, panda::READY.into()).unwrap();
+        let state = robot.state();
+        let flange = (state.o_t_ee * state.f_t_ee.inverse()).to_homogeneous();
+        for (decimals, short) in [(0, 0.0), (4, 9.59e-6)] {
+            let told = ControlUnit::open(&settings(decimals)).unwrap().told(state);
+            let [ee, hand] = [told.o_t_ee, told.f_t_ee].map(|x| Matrix4::from_column_slice(&x));
+            // Half of its entries are 0.7071, so that two columns are short.
+            for (column, short) in [(0, short), (1, short), (2, 0.0)] {
+                for matrix in [&ee, &hand] {
+                    let length = matrix.column(column).norm();
+                    assert!((1.0 - length - short).abs() < 1e-8, "{decimals}: {length}");
+                }
+            }
+            let back = ee * hand.try_inverse().unwrap();
+            assert!((back - flange).amax() < 1e-12);
         }
     }
 

@@ -54,6 +54,21 @@ impl Found {
     }
 }
 
+/// Motion of the tags' centres from one frame to the next: the median and the largest, px.
+fn motion(frames: &[Frame]) -> [f64; 2] {
+    let pairs = frames.iter().zip(&frames[1..]);
+    let moved = pairs.flat_map(|(a, b)| {
+        let both = a
+            .tags
+            .iter()
+            .filter_map(|(number, p)| Some((p, b.tags.get(number)?)));
+        both.map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1]))
+    });
+    let mut moved: Vec<f64> = moved.collect();
+    moved.sort_by(f64::total_cmp);
+    [moved[moved.len() / 2], moved[moved.len() - 1]]
+}
+
 /// What `cargo judge` says of a folder.
 fn judged(folder: &Path, tags: &str, flags: &[&str]) -> Vec<Found> {
     let mut cargo = testkit::command(env!("CARGO"));
@@ -78,6 +93,11 @@ fn a_moving_cameras_tags_are_found_as_often_as_by_apriltag_3_and_as_exactly() {
     let [ours, others @ ..] = all.as_slice() else {
         panic!("no detector");
     };
+    // Motion and noise that tests/LABORATORY.md compares the emulator with.
+    let [median, most] = motion(&ours.frames);
+    tell(format!(
+        "rbt: tags move by {median:.1} px a frame, {most:.1} at most"
+    ));
     assert!(ours.summary.rms < 0.04 && ours.summary.most < 0.22);
     for other in others {
         assert!(

@@ -11,7 +11,7 @@ use franka::{
 };
 use ipc::now_ns;
 use messages::{RobotFaults, RobotMode, RobotState};
-use nalgebra::{Matrix4, Rotation3, Translation3};
+use nalgebra::{Matrix3, Matrix4, Rotation3, Translation3};
 
 use crate::config::{Config, Interface};
 use crate::datagrams;
@@ -112,14 +112,18 @@ pub fn connect(config: &Config) -> FrankaResult<Robot> {
     })
 }
 
-/// A transformation, column by column.
+/// A transformation, column by column. Real robots tell rotations that were rounded at their desk,
+/// whose columns are 1e-5 short: the nearest rotation is taken, to second order (a step of Newton
+/// and Schulz).
 pub fn pose(columns: &[f64; 16]) -> Pose {
     let matrix = Matrix4::from_column_slice(columns);
     let rotation = matrix.fixed_view::<3, 3>(0, 0).into_owned();
     let translation = matrix.fixed_view::<3, 1>(0, 3).into_owned();
     Pose::from_parts(
         Translation3::from(translation),
-        Rotation3::from_matrix_unchecked(rotation),
+        Rotation3::from_matrix_unchecked(
+            rotation * (Matrix3::from_diagonal_element(1.5) - 0.5 * rotation.tr_mul(&rotation)),
+        ),
     )
 }
 
@@ -249,5 +253,24 @@ impl<'a> Motion<'a> {
             // Steering was made for the same interface.
             _ => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rounded_rotation_is_told_as_the_nearest_one() {
+        let half = 0.7071;
+        let told = [
+            half, -half, 0.0, 0.0, half, half, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1034, 1.0,
+        ];
+        let pose = pose(&told);
+        let turn = pose.rotation.matrix();
+        assert!((turn.tr_mul(turn) - Matrix3::identity()).amax() < 1e-9);
+        let about_z = Rotation3::from_euler_angles(0.0, 0.0, -std::f64::consts::FRAC_PI_4);
+        assert!((turn - about_z.matrix()).amax() < 1e-9);
+        assert_eq!(pose.translation.z, 0.1034);
     }
 }

@@ -82,7 +82,9 @@ fn a_real_chessboards_corners_are_opencvs_and_calibrate_a_mounting_as_well() {
     let (mut off, mut pairs) = (Vec::new(), Vec::new());
     for ((file, theirs), [flange, _]) in files.iter().zip(&theirs).zip(&set.poses) {
         let picture = Picture::read(file).unwrap();
-        let view = detector.view(file.to_str().unwrap(), &picture.grey().unwrap()).unwrap();
+        let view = detector
+            .view(file.to_str().unwrap(), &picture.grey().unwrap())
+            .unwrap();
         assert_eq!((view.points.len(), theirs.len()), (54, 54), "{file:?}");
         off.extend(theirs.iter().map(|(_, at)| {
             let each = view.points.values().map(|ours| boards::apart(*ours, *at));
@@ -105,7 +107,11 @@ fn a_real_chessboards_corners_are_opencvs_and_calibrate_a_mounting_as_well() {
     let places: Vec<_> = set
         .poses
         .iter()
-        .map(|[flange, board]| (pose(flange) * result.camera * pose(board)).translation.vector)
+        .map(|[flange, board]| {
+            (pose(flange) * result.camera * pose(board))
+                .translation
+                .vector
+        })
         .collect();
     let middle = places.iter().sum::<Vec3>() / places.len() as f64;
     let squares = places.iter().map(|place| (place - middle).norm_squared());

@@ -15,8 +15,10 @@ fn first_motion(robot: &Robot, hand_eye: &Path) -> Ended {
 }
 
 /// What is wrong in the world, or in the hand-eye file, and what is to be said of it.
-const MISTAKES: [(&str, Option<&str>, &[&str]); 8] = [
+const MISTAKES: [(&str, Option<&str>, &[&str]); 9] = [
     ("", None, &[]),
+    // As a real desk has it.
+    ("desk_decimals = 4", None, &[]),
     ("focal = 0.15", None, &["focal length"]),
     ("depth = 0.25", None, &["pattern"]),
     (
