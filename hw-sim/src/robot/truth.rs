@@ -47,8 +47,7 @@ pub struct Truth {
     /// Mean number of frames lost in a row; 0: each by itself.
     #[schemars(range(min = 0, max = 100), extend("x-unit" = "frames"))]
     pub drop_burst: f64,
-    /// FCI: decimals that F_T_NE has at the desk, 4 at a real one: O_T_EE and F_T_EE are then no exact
-    /// rotations; 0: exact.
+    /// FCI: decimals of the desk's F_T_NE, which O_T_EE inherits; 0: all.
     #[schemars(range(min = 0, max = 15), extend("x-unit" = "digits"))]
     pub desk_decimals: u32,
     /// Rendered: share of `exposure_ms` during which motion blurs tags.

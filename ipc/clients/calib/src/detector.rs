@@ -60,6 +60,10 @@ impl Detector {
             number: tag.number,
             corners: tag.corners,
         };
-        Ok(finder.find(image)?.into_iter().map(tag).collect())
+        let mut found = finder.find(image)?;
+        let is_missing = |number| found.iter().all(|tag| tag.number != number);
+        let more = finder.find_missing(image, is_missing)?;
+        found.extend(more);
+        Ok(found.into_iter().map(tag).collect())
     }
 }

@@ -155,7 +155,7 @@ impl Finder {
             let mut found = finder.find_those(&part, is_ours)?;
             // One that is read and refused would be again.
             if found.is_empty() && finder.refused().is_empty() {
-                found = finder.find_blurred(&part, is_ours)?;
+                found = finder.find_missing(&part, is_ours)?;
             }
             if found.is_empty() {
                 refused.extend(finder.refused().first());
@@ -165,8 +165,8 @@ impl Finder {
         Ok((tags, refused))
     }
 
-    /// Looks for all tags in the whole image, and once more for those that may be out of focus: not
-    /// for those that were read and refused.
+    /// Looks for all tags in the whole image, and once more for those that are missing: not for those
+    /// that were read and refused.
     fn look_everywhere(
         &mut self,
         image: &Grey,
@@ -181,7 +181,7 @@ impl Finder {
         let missing: Vec<u32> = self.tracker.numbers().filter(is_missing).collect();
         if !missing.is_empty() {
             let is_missing = |number: u32| missing.contains(&number);
-            tags.extend(self.everywhere.find_blurred(image, is_missing)?);
+            tags.extend(self.everywhere.find_missing(image, is_missing)?);
         }
         Ok(tags)
     }

@@ -22,6 +22,10 @@ const SHARPER: i32 = 3;
 const SHARPENED_PX: f32 = 2.0;
 /// Most misread bits of a tag that is not taken for another thing.
 const MISREAD: u8 = 2;
+/// Where black ends between the darkest and the brightest pixel about, as a share: at first, and for
+/// tags that are missing then. More finds tags whose ink mirrors a light, less parts tags of a Kalibr
+/// board from its squares.
+const SPLITS: [f32; 2] = [0.5, 0.33];
 
 /// A tag that is seen whole.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,7 +53,8 @@ impl Tag {
 
 /// Finds tags in images of one size.
 pub struct TagFinder {
-    decoder: AprilTagDecoder,
+    /// By [`SPLITS`].
+    decoders: [AprilTagDecoder; 2],
     coarse: usize,
     /// The decoder takes images that own their pixels.
     image: Image<u8, 1>,
@@ -101,10 +106,16 @@ impl Templates {
         Some(drawn.get_or_init(|| Template::new(self.family, number, has_squares)))
     }
 
-    fn decoder(&self, size: ImageSize, coarse: usize) -> Result<AprilTagDecoder, TagError> {
+    fn decoder(
+        &self,
+        size: ImageSize,
+        coarse: usize,
+        split: f32,
+    ) -> Result<AprilTagDecoder, TagError> {
         let family = TagFamilyKind::Custom(self.library.clone());
         let mut config = DecodeTagsConfig::new(vec![family])?;
         config.downscale_factor = coarse;
+        config.threshold_split = split;
         Ok(AprilTagDecoder::new(config, size)?)
     }
 }
@@ -174,8 +185,9 @@ impl TagFinder {
         coarse: usize,
     ) -> Result<Self, TagError> {
         let size = ImageSize { width, height };
+        let [first, second] = SPLITS.map(|split| templates.decoder(size, coarse, split));
         Ok(Self {
-            decoder: templates.decoder(size, coarse)?,
+            decoders: [first?, second?],
             coarse,
             image: Image::from_size_val(size, 0).map_err(AprilTagError::from)?,
             blurred: Image::from_size_val(size, 0).map_err(AprilTagError::from)?,
@@ -202,20 +214,24 @@ impl TagFinder {
         is_wanted: impl Fn(u32) -> bool,
     ) -> Result<Vec<Tag>, TagError> {
         self.take(image);
-        self.decode(image, is_wanted)
+        self.decode(0, image, is_wanted)
     }
 
-    /// The same in a sharpened image, for tags that are out of focus; they are registered in the
-    /// original.
+    /// Tags that the others missed: by the other split, or else in a sharpened image, where they may
+    /// be out of focus. They are registered in the original.
     ///
     /// # Errors
     /// The image has another size than the finder.
-    pub fn find_blurred(
+    pub fn find_missing(
         &mut self,
         image: &Grey,
         is_wanted: impl Fn(u32) -> bool,
     ) -> Result<Vec<Tag>, TagError> {
         self.take(image);
+        let found = self.decode(1, image, &is_wanted)?;
+        if !(found.is_empty() && self.refused.is_empty()) {
+            return Ok(found);
+        }
         let sigma = (SHARPENED_PX, SHARPENED_PX);
         let blurred = gaussian_blur_u8(&self.image, &mut self.blurred, (0, 0), sigma);
         blurred.map_err(AprilTagError::from)?;
@@ -225,7 +241,7 @@ impl TagFinder {
             let sharp = level + SHARPER * (level - i32::from(mean));
             *pixel = sharp.clamp(0, 255) as u8;
         }
-        self.decode(image, is_wanted)
+        self.decode(1, image, is_wanted)
     }
 
     /// Numbers of tags that were read in the last image, but are not seen whole.
@@ -241,22 +257,24 @@ impl TagFinder {
         }
     }
 
-    /// The tags that the taken image shows, registered in the original.
+    /// The tags that a decoder sees in the taken image, registered in the original.
     fn decode(
         &mut self,
+        by: usize,
         image: &Grey,
         is_wanted: impl Fn(u32) -> bool,
     ) -> Result<Vec<Tag>, TagError> {
         self.refused.clear();
         // The library panics at a quad with a point at infinity among those that it samples: there
         // is no tag, and the next image has another one.
-        let decoded = catch_unwind(AssertUnwindSafe(|| self.decoder.decode(&self.image)));
+        let decoded = catch_unwind(AssertUnwindSafe(|| self.decoders[by].decode(&self.image)));
         let Ok(found) = decoded else {
-            self.decoder = self.templates.decoder(self.image.size(), self.coarse)?;
+            let size = self.image.size();
+            self.decoders[by] = self.templates.decoder(size, self.coarse, SPLITS[by])?;
             return Ok(Vec::new());
         };
         let found = found?;
-        self.decoder.clear();
+        self.decoders[by].clear();
         let mut tags = Vec::with_capacity(found.len());
         for quad in found {
             let number = u32::from(quad.id);
@@ -307,7 +325,7 @@ mod tests {
         finder.find(&image).unwrap()
     }
 
-    /// As a missing tag is looked for: once more in the sharpened image.
+    /// As a missing tag is looked for: once more.
     fn found_after_all(finder: &mut TagFinder, drawing: &Drawing, seed: u64) -> Vec<Tag> {
         let tags = found(finder, drawing, seed);
         if !tags.is_empty() {
@@ -315,7 +333,7 @@ mod tests {
         }
         let pixels = drawing.pixels(2.0, seed);
         let image = Grey::new(&pixels, SIDE, SIDE, SIDE).unwrap();
-        finder.find_blurred(&image, |_| true).unwrap()
+        finder.find_missing(&image, |_| true).unwrap()
     }
 
     /// A tag of 36h11 somewhere in the middle: its number, and from tag coordinates to px.
@@ -404,7 +422,7 @@ mod tests {
                 });
                 drawing.tag_on(Family::default(), number, &h, 0.0);
                 drawing.blur(blur);
-                off.add(&found(&mut finder, &drawing, n), number, &h);
+                off.add(&found_after_all(&mut finder, &drawing, n), number, &h);
             }
             off.check(&format!("{side} px, gap {gap}"), [centre_px, corner_px]);
         }
