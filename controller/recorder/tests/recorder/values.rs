@@ -12,6 +12,7 @@ use recording::Recording;
 use serde_json::Value;
 
 use testkit::Place;
+use testkit::python::run;
 
 use crate::fixture::{FILE, MESSAGES, Stage, check, options, python, recorded, same};
 
@@ -237,6 +238,21 @@ fn others_read_the_same(
         }
         assert_eq!(theirs.len(), ours.len() + skipped, "{topic}");
     }
+    let readme = include_str!("../../../../ipc/recording/README.md");
+    let (_, block) = readme.split_once("```python\n").unwrap();
+    let (lines_of_pandas, _) = block.split_once("```").unwrap();
+    let mut pandas = testkit::command(python);
+    pandas.current_dir(file.parent().unwrap());
+    pandas.args([
+        "-c",
+        &format!("{lines_of_pandas}print(cycles['stamp.sequence'].max())"),
+    ]);
+    let last = published
+        .cycles
+        .iter()
+        .map(|cycle| cycle.stamp.sequence)
+        .max();
+    assert_eq!(run(&mut pandas).unwrap().trim(), last.unwrap().to_string());
     let clock = recording.clock().unwrap();
     for line in [
         format!("metadata vpc.ledger /vpc/features.recorded {MESSAGES}"),

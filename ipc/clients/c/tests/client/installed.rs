@@ -63,6 +63,29 @@ fn directory_of(root: &Path, name: &str) -> PathBuf {
 }
 
 #[test]
+fn two_lines_build_a_program_without_cmake() {
+    if !are_installed("a program without CMake", &["cc=gcc"]) {
+        return;
+    }
+    let readme = include_str!("../../README.md");
+    let line = readme.lines().find(|line| line.starts_with("cc -I"));
+    let place = Place::new();
+    let (built, program) = (library().with_extension("a"), place.path("camera"));
+    let line = line.unwrap();
+    let line = line.replace("target/release/libvpcclient.a", built.to_str().unwrap());
+    let line = line.replace("-o camera", &format!("-o {}", program.display()));
+    let mut shell = testkit::command("sh");
+    run(shell.args(["-c", &line]).current_dir(testkit::root())).unwrap();
+    let mut camera = testkit::command(program);
+    camera.arg(place.domain()).stdout(Stdio::piped());
+    let (start, twist) = (
+        [0.2, 0.0, 0.7, 0.0, 0.0, 0.0],
+        [0.2, 0.0, 0.1, 0.0, 0.0, 0.0],
+    );
+    closes_the_loop(&place, camera, start, twist);
+}
+
+#[test]
 fn a_project_builds_over_the_packages_and_closes_the_loop() {
     let tools = [
         "cmake",
