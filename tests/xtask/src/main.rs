@@ -1,4 +1,4 @@
-//! Commands for developers. `cargo xtask codegen` writes every file that is made from the code,
+//! Commands for developers. `cargo xtask release` makes a release. `cargo xtask codegen` writes every file that is made from the code,
 //! `cargo xtask codegen --check` fails if one of them is stale. Each kind of file has a module
 //! here; [`ARTEFACTS`] lists them.
 
@@ -7,6 +7,7 @@ mod configuration;
 mod contract;
 mod doc;
 mod python;
+mod release;
 mod units;
 
 use std::path::{Path, PathBuf};
@@ -111,6 +112,11 @@ enum Command {
         #[arg(long)]
         check: bool,
     },
+    /// Make a release: source, Debian package, wheel, notes and checksums
+    Release {
+        /// A directory that is empty or not there
+        directory: PathBuf,
+    },
 }
 
 /// The root of the repository.
@@ -144,5 +150,6 @@ fn codegen(check: bool) -> anyhow::Result<()> {
 fn main() -> anyhow::Result<()> {
     match Command::parse() {
         Command::Codegen { check } => codegen(check),
+        Command::Release { directory } => release::release(&directory),
     }
 }
