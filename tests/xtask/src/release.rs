@@ -52,7 +52,10 @@ fn package(to: &Path) -> anyhow::Result<()> {
     build(&[])?;
     // No default members.
     build(&["-p", "vpc-camera", "-p", "vpc-ros2"])?;
-    let release = testkit::target_directory().join("release");
+    // Beside the directory of this program.
+    let program = std::env::current_exe()?;
+    let target = program.ancestors().nth(2);
+    let release = target.context("no target directory")?.join("release");
     let share = release.join("share");
     said(tool(release.join("vpcctl")).arg("man").arg(&share))?;
     said(tool("sh").current_dir(&share).args(["-c", "gzip -9nf *.1"]))?;
