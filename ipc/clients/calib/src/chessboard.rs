@@ -33,8 +33,8 @@ fn whole(image: &Grey, board: &Board, config: DetectorConfig) -> Option<Vec<Poin
     let corners: Vec<ChessCorner> = corners.iter().map(corner).collect();
     let grids = GridDetector::new(DetectorParams::default()).ok()?;
     let grids = grids.detect_all(&corners);
-    let grids = grids.iter().filter_map(|grid| Grid::of(grid, image, board));
-    grids.filter_map(|grid| grid.refined(image)).next()
+    let mut grids = grids.iter().filter_map(|grid| Grid::of(grid, image, board));
+    grids.find_map(|grid| grid.refined(image))
 }
 
 fn corner(found: &CornerDescriptor) -> ChessCorner {
@@ -69,13 +69,14 @@ impl Grid {
         let last = [0, 1].map(|k| places.keys().map(|grid| grid[k]).max().unwrap_or(0));
         let [columns, rows] = [board.columns, board.rows].map(|count| count as usize);
         // The four turns, and how each takes column and row of the board to those of the detector.
-        let turns: [fn([i32; 2], [i32; 2]) -> [i32; 2]; 4] = [
+        type Turn = fn([i32; 2], [i32; 2]) -> [i32; 2];
+        let turns: [Turn; 4] = [
             |[c, r], _| [c, r],
             |[c, r], [_, v]| [r, v - c],
             |[c, r], [u, v]| [u - c, v - r],
             |[c, r], [u, _]| [u - r, c],
         ];
-        let turned = turns.into_iter().filter_map(|turn| {
+        let mut turned = turns.into_iter().filter_map(|turn| {
             let order = (0..columns * rows).map(|k| [k % columns, k / columns]);
             let points = order.map(|place| places.get(&turn(place.map(|k| k as i32), last)));
             let points: Option<Vec<Point>> = points.map(|point| point.copied()).collect();
@@ -94,7 +95,7 @@ impl Grid {
             let first = |grid: &Self| grid.points[0][0] + grid.points[0][1];
             return turned.min_by(|a, b| first(a).total_cmp(&first(b)));
         }
-        turned.filter(|grid| grid.begins_black(image)).next()
+        turned.find(|grid| grid.begins_black(image))
     }
 
     fn at(&self, column: usize, row: usize) -> Point {

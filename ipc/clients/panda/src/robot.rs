@@ -262,7 +262,7 @@ mod tests {
 
     #[test]
     fn a_rounded_rotation_is_told_as_the_nearest_one() {
-        let half = 0.7071;
+        let half = (1e4 * std::f64::consts::FRAC_1_SQRT_2).round() / 1e4;
         let told = [
             half, -half, 0.0, 0.0, half, half, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.1034, 1.0,
         ];
