@@ -10,7 +10,7 @@ use crate::{Ended, locked, not_run, root, target_directory};
 /// Runs a command to its end; its standard output.
 ///
 /// # Errors
-/// How it ended, and standard error, where it fails.
+/// Standard error, where it fails; how it ended, where that is all.
 pub fn run(command: &mut Command) -> Result<String, String> {
     let output = command.output().map_err(|error| error.to_string())?;
     let status = output.status;
@@ -18,7 +18,10 @@ pub fn run(command: &mut Command) -> Result<String, String> {
     if status.success() {
         return Ok(stdout);
     }
-    Err(format!("{status}: {}", stderr.trim()))
+    match stderr.trim() {
+        said if status.code().is_some() && !said.is_empty() => Err(said.to_owned()),
+        said => Err(format!("{status}: {said}")),
+    }
 }
 
 /// A virtual environment in the target directory.
