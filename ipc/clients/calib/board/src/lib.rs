@@ -43,7 +43,7 @@ pub struct Board {
     #[schemars(range(min = 1, max = 40))]
     pub rows: u32,
     /// Family of tags.
-    #[schemars(extend("x-allowed" = "as vpc-camera's"))]
+    #[schemars(extend("x-allowed" = "DICT_4X4_50 and so on, as vpc-camera's"))]
     pub family: Family,
     /// Side of a tag's black square.
     #[default = 0.030]
@@ -320,7 +320,7 @@ mod tests {
             ),
             (
                 "family = \"36h11\"",
-                "family = \"36h11\"; allowed: DICT_4X4",
+                "family = 36h11; allowed: DICT_4X4_50 and so on",
             ),
         ] {
             let error = parse(text).unwrap_err();
