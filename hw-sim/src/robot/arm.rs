@@ -18,7 +18,7 @@ use super::truth::Truth;
 use crate::pose::{RigidPose, from_scene};
 
 /// Where the pattern lies in the robot's base, unless an arm file tells it: 0.5 m in front of it,
-/// 5 cm above its foot, facing up; its x axis points to the robot's right, its y axis towards the robot.
+/// 5 cm above its foot, facing up; its x axis points to the robot's right, its y axis towards it.
 pub fn base_from_object() -> Pose {
     let axes = Matrix3::new(0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0);
     Pose::from_parts(

@@ -1,4 +1,6 @@
-//! Commands for developers. `cargo xtask release` makes a release. `cargo xtask codegen` writes every file that is made from the code,
+//! Commands for developers. `cargo xtask release` makes a release.
+//!
+//! `cargo xtask codegen` writes every file that is made from the code,
 //! `cargo xtask codegen --check` fails if one of them is stale. Each kind of file has a module
 //! here; [`ARTEFACTS`] lists them.
 

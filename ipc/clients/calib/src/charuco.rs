@@ -15,8 +15,8 @@ const REACH: f64 = 0.9;
 /// What a lens bends two neighbours by at most, px; tags of another board are farther off.
 const FLAT_PX: f64 = 2.0;
 
-/// The corners by their numbers in the order of [`Board::corners`], px. Each is where the homography
-/// of its two tags has it to within what the lens bends, then where the squares meet.
+/// The corners with their numbers in [`Board::corners`], px. The homography of its two tags says
+/// where to look for a corner; it lies where the squares meet.
 pub fn find<'a>(
     image: &'a Grey,
     board: &'a Board,

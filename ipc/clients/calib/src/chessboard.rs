@@ -20,7 +20,7 @@ const REACH: f64 = 0.4;
 /// The corners in the order of [`Board::corners`], px. A board that looks the same upside down
 /// begins at the end that is nearer to the upper left of the image.
 pub fn find(image: &Grey, board: &Board) -> Option<Vec<Point>> {
-    // One config after the other: the image as it is, then also smaller, for large squares out of focus.
+    // First the image as it is, then also smaller, for large squares out of focus.
     [DetectorConfig::chess(), DetectorConfig::chess_multiscale()]
         .into_iter()
         .find_map(|config| whole(image, board, config))

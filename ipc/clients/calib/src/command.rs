@@ -108,7 +108,7 @@ fn draw(arguments: &BoardArguments) -> Result<bool, Failure> {
     Ok(true)
 }
 
-/// Finds a board, or the tags of a scene; refuses a board whose pose is ambiguous.
+/// A detector of a board, or of a scene's tags; refuses a board that looks the same upside down.
 fn oriented(board: Option<Board>) -> Result<Detector, Failure> {
     let board = board.unwrap_or_default();
     if board.is_symmetric() {

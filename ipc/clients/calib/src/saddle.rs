@@ -16,8 +16,8 @@ const STEP: f64 = 1e-3;
 /// Farther from the start it is another corner, in reaches.
 const AWAY: f64 = 0.7;
 
-/// The corner near `start`, px, by the levels up to `reach` px beside it: other edges must be
-/// farther. `None` if there is none, or if that is too few pixels.
+/// The corner near `start`, px. It looks at pixels up to `reach` px away: other edges must be
+/// farther. `None` if there is no corner, or if `reach` is too short.
 pub fn refine(image: &Grey, start: Point, reach: f64) -> Option<Point> {
     let [most, fewest] = REACH;
     let side = reach.min(most).floor();

@@ -26,7 +26,7 @@ pub struct View {
 }
 
 impl View {
-    /// The corners of tags, without those whose number was seen twice.
+    /// The corners of tags; a number that was seen twice is left out.
     pub fn of_tags(name: &str, tags: &[Tag]) -> Self {
         let is_one = |tag: &&Tag| tags.iter().filter(|t| t.number == tag.number).count() == 1;
         let corners = |tag: &Tag| (4 * tag.number..).zip(tag.corners);

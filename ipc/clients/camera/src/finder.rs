@@ -165,8 +165,8 @@ impl Finder {
         Ok((tags, refused))
     }
 
-    /// Looks for all tags in the whole image, and once more for those that are missing: not for those
-    /// that were read and refused.
+    /// Looks for all tags in the whole image, and once more for missing ones; not for tags that were
+    /// read and refused.
     fn look_everywhere(
         &mut self,
         image: &Grey,

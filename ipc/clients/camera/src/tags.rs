@@ -22,9 +22,9 @@ const SHARPER: i32 = 3;
 const SHARPENED_PX: f32 = 2.0;
 /// Most misread bits of a tag that is not taken for another thing.
 const MISREAD: u8 = 2;
-/// Where black ends between the darkest and the brightest pixel about, as a share: at first, and for
-/// tags that are missing then. More finds tags whose ink mirrors a light, less parts tags of a Kalibr
-/// board from its squares.
+/// The threshold between black and white, as a share from the darkest to the brightest pixel
+/// nearby: of the first search, and of the search for missing tags. A high one finds tags with
+/// glossy ink, a low one separates tags of a Kalibr board from its squares.
 const SPLITS: [f32; 2] = [0.5, 0.33];
 
 /// A tag that is seen whole.
@@ -217,8 +217,8 @@ impl TagFinder {
         self.decode(0, image, is_wanted)
     }
 
-    /// Tags that the others missed: by the other split, or else in a sharpened image, where they may
-    /// be out of focus. They are registered in the original.
+    /// Tags that the first search missed: by the other threshold, or else in a sharpened image, for
+    /// tags out of focus. They are registered in the original.
     ///
     /// # Errors
     /// The image has another size than the finder.

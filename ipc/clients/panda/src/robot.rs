@@ -112,9 +112,9 @@ pub fn connect(config: &Config) -> FrankaResult<Robot> {
     })
 }
 
-/// A transformation, column by column. Real robots tell rotations that were rounded at their desk,
-/// whose columns are 1e-5 short: the nearest rotation is taken, to second order (a step of Newton
-/// and Schulz).
+/// A transformation, column by column. Real robots tell rotations that were rounded at their desk;
+/// the columns are 1e-5 short. This takes the nearest rotation, to second order (a Newton-Schulz
+/// step).
 pub fn pose(columns: &[f64; 16]) -> Pose {
     let matrix = Matrix4::from_column_slice(columns);
     let rotation = matrix.fixed_view::<3, 3>(0, 0).into_owned();
