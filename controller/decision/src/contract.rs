@@ -80,6 +80,7 @@ pub fn record_foresight(foresight: &Foresight, step_s: f64, record: &mut CycleRe
         Kind::Neighbour => ForesightCode::Neighbour,
         Kind::Regression => ForesightCode::Regression,
         Kind::Joints => ForesightCode::Joints,
+        Kind::Refined => ForesightCode::Refined,
     }
     .code();
     record.candidates = foresight.tried;

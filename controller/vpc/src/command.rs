@@ -9,7 +9,7 @@ use crate::problem::{Problem, Solution};
 use crate::settings::Settings;
 use crate::solver::Solver;
 use crate::task::Task;
-use crate::{DOF, Points, Twist};
+use crate::{DOF, MAX_NP, Points, Twist};
 
 /// The inputs of a command.
 #[derive(Clone, Copy)]
@@ -26,6 +26,8 @@ pub(crate) struct Present<'a> {
     pub extra_px: f64,
     /// What the arm allows of a command that is in force for `interval`, where it is known.
     pub dampers: Option<&'a Dampers>,
+    /// The twist whose nearest one is searched for, instead of the target.
+    pub wanted: Option<Twist>,
 }
 
 /// The policy: predictive control towards a given target, one command at a time.
@@ -53,6 +55,7 @@ impl Policy<'_> {
             interval,
             extra_px,
             dampers,
+            wanted,
             ..
         } = *present;
         let problem = Problem {
@@ -65,6 +68,9 @@ impl Policy<'_> {
             interval,
             margin: self.settings.margin_px + extra_px,
             dampers,
+            wanted,
+            // What comes after the next step of a refined way is checked by its future.
+            watched: wanted.map_or(MAX_NP, |_| 1),
         };
         let braking = repeated(&problem.braking());
         let solution = solver.solve_from(&problem, &[*warm, braking]);
@@ -90,6 +96,8 @@ impl Policy<'_> {
             interval: self.task.ts,
             margin: 0.0,
             dampers: None,
+            wanted: None,
+            watched: 0,
         };
         solver.evaluate(&problem, &repeated(twist)).unwrap_or(0.0)
     }

@@ -186,6 +186,8 @@ mod tests {
             interval: task.ts,
             margin: 0.0,
             dampers: None,
+            wanted: None,
+            watched: 7,
         };
         let mut at = |plan: &[f64; 12]| {
             assert!(preview.linearize(&task, &initial, plan));

@@ -22,25 +22,46 @@
 //! (2020), Sect. 2.3 (fortified rollout).
 
 use ::arm::JOINTS;
+use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
 use crate::command::{Policy, Present};
+use crate::course::{Barrier, Course};
 use crate::crossing::{self, Crossing};
+use crate::draft::{Draft, Progress};
 use crate::features::{self, MAX_INPUTS, PlainPoints};
 use crate::guide::{At, Guide, Kind};
 use crate::joint_path::JointPath;
-use crate::motion::Own;
+use crate::motion::{Motion, Own};
 use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
 use crate::recall::{self, MotionMemory, Recall};
+use crate::refine::Refiner;
 use crate::solver::Solver;
 use crate::strategy::Strategy;
 use crate::task::Task;
+use crate::way::{COMMANDS, Way};
 use crate::{MAX_POINTS, Points, Twist, gate, random};
 
 /// A candidate that arrives replaces another one that arrives if it costs less than this share of
 /// the other's cost.
 const BETTER: f64 = 0.97;
+/// The same for a refined way.
+const CHEAPER: f64 = 0.995;
+/// Share of a cycle's work after which no pass over a draft begins: in the first cycle of a run,
+/// while a way is known, and while none is.
+const FIRST: f64 = 0.9;
+const REFINING: f64 = 0.5;
+const SEEKING: f64 = 0.25;
+/// How far beside and behind the straight way a draft's first guess passes, m.
+const BESIDE: f64 = 0.25;
+const BACK: f64 = 0.2;
+/// A simulated future is a first guess if it costs less than this multiple of the best known cost.
+const PROMISING: f64 = 2.0;
+/// Clearance of a draft beside the law's, px.
+const SPARE_PX: f64 = 0.2;
+/// Steps of a draft beside those in which the incumbent arrives.
+const TAIL: usize = 5;
 /// A candidate that does not arrive replaces another such one if its error is below this share of
 /// the other's.
 const NEARER: f64 = 0.9;
@@ -88,8 +109,13 @@ pub enum Outcome {
 
 impl Outcome {
     fn is_better_than(self, other: Self) -> bool {
+        self.is_below(BETTER, other)
+    }
+
+    /// The same where an arriving one must cost less than this share of the other's.
+    fn is_below(self, share: f64, other: Self) -> bool {
         match (self, other) {
-            (Self::Arrives { cost, .. }, Self::Arrives { cost: than, .. }) => cost < BETTER * than,
+            (Self::Arrives { cost, .. }, Self::Arrives { cost: than, .. }) => cost < share * than,
             (Self::Arrives { .. }, _) => true,
             (Self::Nears { error_px }, Self::Nears { error_px: than }) => error_px < NEARER * than,
             (Self::Nears { .. }, Self::Unknown) => true,
@@ -162,6 +188,8 @@ pub struct Foresight {
     pub suspended: Option<Suspended>,
     /// Samples drawn so far; the seed of the next one.
     pub drawn: u64,
+    /// Drafts begun so far.
+    pub drafted: u64,
     /// Whether a path in the joints was found that is no candidate yet.
     pub has_new_path: bool,
     /// Cycles in a row in which no way was known.
@@ -212,6 +240,7 @@ impl Foresight {
         trusted: TRUSTED,
         suspended: None,
         drawn: 0,
+        drafted: 0,
         has_new_path: false,
         lost: 0,
         tried: 0,
@@ -286,6 +315,12 @@ pub(crate) struct Thinker<'a> {
     pub memory: Option<&'a dyn MotionMemory>,
     /// The path in the joints that was found last.
     pub path: &'a JointPath,
+    /// The refined way that was found last.
+    pub way: &'a mut Way,
+    /// The way that is being refined.
+    pub draft: &'a mut Draft,
+    /// What refines it.
+    pub refiner: Option<Refiner<'a>>,
     /// Where futures may cross an occlusion.
     pub crossing: Option<&'a Crossing>,
     /// For how long a future may take points out of sight, s.
@@ -314,6 +349,8 @@ pub(crate) struct Thinker<'a> {
     pub most_work: u64,
     /// Steps simulated so far.
     pub simulated: u32,
+    /// Commands of the last simulation that are recorded.
+    pub recorded: usize,
 }
 
 impl Thinker<'_> {
@@ -354,6 +391,11 @@ impl Thinker<'_> {
             let along = self.begun(Guide::along(self.path));
             self.consider(along, &mut best, foresight);
         }
+        if is_far {
+            self.refine(&mut best, foresight);
+        } else {
+            self.draft.discard();
+        }
         if is_far && foresight.suspended.is_none() {
             self.improve(&answers, &mut best, foresight, candidate);
         }
@@ -364,7 +406,127 @@ impl Thinker<'_> {
         (foresight.guide, foresight.outcome, foresight.path) =
             (best.guide, best.outcome, best.path);
         foresight.simulated = self.simulated;
-        foresight.work = self.solver.done();
+        foresight.work = self.done();
+    }
+
+    /// Records a command of a simulation.
+    fn record(&mut self, step: usize, command: &Twist) {
+        let tried = self
+            .refiner
+            .iter_mut()
+            .flat_map(|refiner| &mut *refiner.tried);
+        if let Some(place) = tried.into_iter().nth(step) {
+            *place = *command;
+            self.recorded = step + 1;
+        }
+    }
+
+    /// Counted work so far.
+    fn done(&self) -> u64 {
+        let refined = self.refiner.as_ref().map_or(0, |refiner| refiner.work);
+        self.solver.done() + refined
+    }
+
+    /// Refines drafts, and follows one whose simulated future is cheaper.
+    fn refine(&mut self, best: &mut Future, foresight: &mut Foresight) {
+        let extra_px = self.extra_px + SPARE_PX;
+        let Some(mut course) = course(&self.policy, self.initial, extra_px) else {
+            return self.draft.discard();
+        };
+        let steps = self.policy.task.period / self.policy.task.ts;
+        if self.draft.passes > 0 {
+            self.draft.pass_by(steps, &course);
+        }
+        let share = match foresight.drafted {
+            0 => FIRST,
+            _ if foresight.knows_a_way() => REFINING,
+            _ => SEEKING,
+        };
+        let most = (share * self.most_work as f64) as u64;
+        while self.done() < most && self.budget > 0 {
+            if self.draft.passes == 0 {
+                foresight.drafted += 1;
+                self.begin_draft(&course, best, foresight);
+            }
+            if let Outcome::Arrives { steps, .. } = best.outcome {
+                course.steps = COMMANDS.min(steps.max(0.0) as usize + TAIL);
+            }
+            let Some(refiner) = &mut self.refiner else {
+                return;
+            };
+            match self.draft.refine(refiner, &course) {
+                Progress::Going => continue,
+                Progress::Done if foresight.suspended.is_none() => {
+                    self.try_draft(&course, best, foresight);
+                }
+                Progress::Done | Progress::Blocked => (),
+            }
+            self.draft.discard();
+        }
+    }
+
+    /// A first guess: at first a way straight to the goal, then one by each side; afterwards in
+    /// turn the incumbent, one by any side, the incumbent again, and what the law does under a
+    /// drawn candidate. Where the incumbent is a refined way itself, it is loosened every second
+    /// time, so that it may leave the side of an occlusion that it is on.
+    fn begin_draft(&mut self, course: &Course<'_>, best: &Future, foresight: &mut Foresight) {
+        let number = foresight.drafted;
+        let aside = |x: f64, y: f64| [BESIDE * x, BESIDE * y, BACK];
+        let aside = match number {
+            1 => [0.0; 3],
+            2 => aside(1.0, 0.0),
+            3 => aside(-1.0, 0.0),
+            4 => aside(0.0, 1.0),
+            5 => aside(0.0, -1.0),
+            _ => [1, 2, 3].map(|k| BESIDE * (2.0 * uniform(number, k) - 1.0)),
+        };
+        let knows_a_way = matches!(best.outcome, Outcome::Arrives { .. });
+        let guide = match number % 4 {
+            _ if number <= 5 => None,
+            1 => None,
+            3 => {
+                foresight.drawn += 1;
+                self.drawn(foresight.drawn, best.outcome)
+            }
+            _ => Some(best.guide).filter(|_| knows_a_way),
+        };
+        match guide {
+            Some(guide) if guide.kind == Kind::Refined => {
+                let commands = self.draft.begin(&course.start, number % 4 == 2);
+                let left = self.way.left(guide.ahead);
+                let pairs = commands.iter_mut().zip(left);
+                pairs.for_each(|(to, from)| *to = *from);
+            }
+            Some(guide) => {
+                let most = match best.outcome {
+                    Outcome::Arrives { cost, .. } => PROMISING * cost,
+                    _ => f64::INFINITY,
+                };
+                self.recorded = 0;
+                self.roll_out(self.begun(guide), most);
+                let commands = self.draft.begin(&course.start, true);
+                let recorded = self.refiner.iter().flat_map(|refiner| &*refiner.tried);
+                let pairs = commands.iter_mut().zip(recorded.take(self.recorded));
+                pairs.for_each(|(to, from)| *to = *from);
+            }
+            None => course.guess(aside, self.draft.begin(&course.start, false)),
+        }
+    }
+
+    /// Simulates the law along the draft; it becomes the incumbent if it is cheaper.
+    fn try_draft(&mut self, course: &Course<'_>, best: &mut Future, foresight: &mut Foresight) {
+        foresight.tried += 1;
+        let most = match best.outcome {
+            Outcome::Arrives { cost, .. } => CHEAPER * cost,
+            _ => f64::INFINITY,
+        };
+        let guide = Guide::refined(&self.draft.way, &course.start);
+        if let RollOut::Ended(future) = self.roll_out(self.begun(guide), most)
+            && future.outcome.is_below(CHEAPER, best.outcome)
+        {
+            *self.way = self.draft.way;
+            *best = future;
+        }
     }
 
     /// The incumbent with its future, as promised or simulated again.
@@ -673,7 +835,15 @@ impl Thinker<'_> {
                 q: initial.q.as_ref(),
                 path: self.path,
             };
-            let tracked = now.guide.advance(&at, self.converged_px, 1.0);
+            let way = match now.guide.way == self.way.number {
+                true => &*self.way,
+                false => &self.draft.way,
+            };
+            let wanted = now.guide.follow(&at, way, &initial.drift.twist, 1.0);
+            let tracked = match wanted {
+                Some(_) => None,
+                None => now.guide.advance(&at, self.converged_px, 1.0),
+            };
             let aim = tracked.as_ref().unwrap_or(&task.goal);
             let present = Present {
                 initial: &initial,
@@ -682,17 +852,19 @@ impl Thinker<'_> {
                 warm: &now.previous,
                 extra_px: self.extra_px,
                 dampers: dampers.as_ref(),
+                wanted,
             };
             let (twist, solution) = policy.command(self.solver, &present, aim, aim);
-            let is_to_goal = now.guide.ahead == 0 && towards.is_none();
+            let is_to_goal = now.guide.ahead == 0 && towards.is_none() && wanted.is_none();
             let cost = match is_to_goal && settings.nc == 1 && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost,
                 false => policy.running_cost(self.solver, &initial, &twist),
             };
-            if self.solver.done() >= self.most_work {
+            if self.done() >= self.most_work {
                 self.budget = 0;
             }
+            self.record(now.step as usize, &initial.relative(&twist));
             now.cost += share * cost;
             if now.cost - now.spent > most {
                 return ended(&now, Outcome::Unknown);
@@ -708,6 +880,28 @@ impl Thinker<'_> {
         let error_px = now.nearest_px;
         ended(&now, Outcome::Nears { error_px })
     }
+}
+
+/// The course of ways that begin at `initial` and keep so much more clearance than the settings say;
+/// `None` where the pattern's pose is not known.
+fn course<'a>(policy: &Policy<'a>, initial: &InitialState, extra_px: f64) -> Option<Course<'a>> {
+    let Policy { task, settings } = *policy;
+    let pose = initial.pose(task)?;
+    let drift = Vector6::from(initial.drift.twist);
+    let limits = Vector6::from(task.limits);
+    Some(Course {
+        task,
+        start: Motion {
+            rotation: pose.rotation,
+            translation: pose.translation,
+        },
+        bounds: [-limits - drift, limits - drift].map(Into::into),
+        np: settings.np,
+        steps: COMMANDS,
+        margin_px: settings.margin_px + extra_px,
+        barrier: Barrier::NONE,
+        damping: 0.0,
+    })
 }
 
 /// A number in [0, 1) that follows from two others.

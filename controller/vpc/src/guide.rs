@@ -3,10 +3,12 @@
 use ::arm::Joints;
 use serde::{Deserialize, Serialize};
 
-use crate::Points;
 use crate::features::{self, PlainPoints};
 use crate::joint_path::JointPath;
+use crate::motion::Motion;
 use crate::task::Task;
+use crate::way::{self, COMMANDS, Placed, Way};
+use crate::{Points, Twist};
 
 /// Most sub-goals of a guide.
 pub const MOST: usize = 2;
@@ -42,6 +44,8 @@ pub enum Kind {
     Regression,
     /// The places of a [path in the joints](crate::joint_path).
     Joints,
+    /// The commands of a [refined way](crate::way).
+    Refined,
 }
 
 impl Kind {
@@ -79,6 +83,10 @@ pub struct Guide {
     pub idle: f64,
     /// Whether the way may lead behind a crossable occlusion.
     pub crosses: bool,
+    /// Which refined way it is, else 0.
+    pub way: u32,
+    /// Where the pattern should be on a refined way.
+    pub reference: Placed,
 }
 
 impl Guide {
@@ -91,6 +99,8 @@ impl Guide {
         least_px: f64::INFINITY,
         idle: 0.0,
         crosses: false,
+        way: 0,
+        reference: Placed::ORIGIN,
     };
 
     /// Straight to the goal, by a way that may cross.
@@ -132,6 +142,48 @@ impl Guide {
         }
     }
 
+    /// A guide along a refined way that begins with the pattern at `start`.
+    pub(crate) fn refined(way: &Way, start: &Motion) -> Self {
+        Self {
+            kind: Kind::Refined,
+            ahead: COMMANDS as u32,
+            left: 1.0,
+            way: way.number,
+            reference: start.into(),
+            ..Self::GOAL
+        }
+    }
+
+    /// The twist that follows a refined way for the next `steps` steps (one at most), where the
+    /// pattern moves by itself at `drift`; `None` for other guides, and at the way's end.
+    pub(crate) fn follow(
+        &mut self,
+        at: &At,
+        way: &Way,
+        drift: &Twist,
+        steps: f64,
+    ) -> Option<Twist> {
+        if self.kind != Kind::Refined {
+            return None;
+        }
+        let command = way.left(self.ahead).first();
+        let Some(command) = command.filter(|_| self.way == way.number) else {
+            *self = self.direct();
+            return None;
+        };
+        let reference = Motion::from(&self.reference);
+        let mut wanted = way::correction(at.task, &reference, at.points)?;
+        let terms = wanted.iter_mut().zip(command.iter().zip(drift));
+        terms.for_each(|(v, (command, drift))| *v += command + drift);
+        let passed = Motion::of_camera(command, steps * at.task.ts);
+        self.reference = (&reference.then(&passed)).into();
+        self.left -= steps;
+        if self.left <= ROUNDING {
+            (self.left, self.ahead) = (self.left + 1.0, self.ahead - 1);
+        }
+        Some(wanted)
+    }
+
     /// The posture of the present sub-goal, where it has one.
     pub(crate) fn posture(&self, path: &JointPath) -> Option<Joints> {
         path.posture(self.ahead)
@@ -140,6 +192,9 @@ impl Guide {
 
     /// The present sub-goal, and how far it is away, px.
     fn target(&self, at: &At) -> Option<(Points, f64)> {
+        if self.kind == Kind::Refined {
+            return None;
+        }
         if self.kind != Kind::Joints {
             let target = self
                 .targets

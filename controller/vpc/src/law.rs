@@ -21,6 +21,7 @@ use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan, repeated};
 use crate::problem::Status;
 use crate::recall::{self, Asked, MotionMemory, Recall};
+use crate::refine::{self, Refiner};
 use crate::settings::{Settings, SettingsError};
 use crate::solver::{Size, Solver};
 use crate::state::State;
@@ -30,7 +31,7 @@ use crate::work::Prices;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit};
 
 /// The visual predictive control law: task, settings, what one cycle leaves to the next (together
-/// some 40 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
+/// some 50 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
 /// `&mut [f64]` where there is no heap.
 #[derive(Clone)]
 pub struct Law<W> {
@@ -46,6 +47,8 @@ pub struct Law<W> {
     root: Option<InitialState>,
     /// l(v) / Np of the last step.
     spent: f64,
+    /// Whether this cycle has thought before its command.
+    has_thought: bool,
     /// Time from the last exposure to the command that answers it, s.
     lead_s: f64,
     /// The work that the law may do in a cycle.
@@ -114,7 +117,7 @@ pub struct Step {
 
 impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// The law for a scene. `lend` receives how many numbers of workspace this problem takes
-    /// (2,000 in the paper's scene, 56,000 at most), and returns at least that many, of any value.
+    /// (6,000 in the paper's scene, 60,000 at most), and returns at least that many, of any value.
     ///
     /// # Errors
     /// [`SettingsError`] if a setting is out of range, the goal of the scene cannot be seen, or the
@@ -138,7 +141,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let horizon = libm::ceil(HORIZON * scene.success.time_s / task.ts);
         let share = Share::of(&task, &settings)?;
         let planner = task.arm.as_ref().map_or(0, |_| joint_path::ROOM);
-        let needed = share.size.workspace().max(planner);
+        let needed = (share.size.workspace() + refine::ROOM).max(planner);
         let workspace = lend(needed);
         let found = workspace.as_ref().len();
         if found < needed {
@@ -152,6 +155,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             settings,
             root: None,
             spent: 0.0,
+            has_thought: false,
             lead_s: 0.0,
             share,
             horizon: horizon.max(1.0) as u32,
@@ -196,6 +200,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
 
     /// Runs foresight in the spare time of a cycle, after its command was sent.
     pub fn think(&mut self, memory: Option<&dyn MotionMemory>) {
+        if core::mem::take(&mut self.has_thought) {
+            self.root = None;
+            self.state.draft.discard();
+            return self.state.foresight.pass(&self.task, self.spent);
+        }
         // What a cycle without features or another strategy leaves is no work of its own.
         let idle = &mut self.state.foresight;
         (idle.tried, idle.simulated, idle.work) = (0, 0, 0);
@@ -218,7 +227,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let most_blind_s = self.crossing.as_ref().map_or(0.0, most_s);
         let since_ns = self.state.seen_ns.saturating_sub(self.state.blind.whole_ns);
         let blind_s = self.lead_s + since_ns as f64 * 1e-9;
-        let Some(solver) = &mut self.share.solver(&self.settings, self.workspace.as_mut()) else {
+        let (room, rest) = self.workspace.as_mut().split_at_mut(refine::ROOM);
+        let Some(solver) = &mut self.share.solver(&self.settings, rest) else {
             return;
         };
         let mut thinker = Thinker {
@@ -229,6 +239,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             solver,
             memory,
             path: &self.state.path,
+            way: &mut self.state.way,
+            draft: &mut self.state.draft,
+            refiner: Refiner::new(self.share.size, room),
             crossing: self.crossing.as_ref(),
             most_blind_s,
             blind_s,
@@ -243,6 +256,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             budget: self.share.steps,
             most_work: self.share.thinking,
             simulated: 0,
+            recorded: 0,
         };
         thinker.think(&mut self.state.foresight);
     }
@@ -309,7 +323,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     pub fn restore(&mut self, state: &State) {
         self.settings.strategy = state.strategy;
         self.state = *state;
-        self.root = None;
+        (self.root, self.has_thought) = (None, false);
     }
 
     /// Where the points of a live robot's camera are expected in an exposure at `exposed_ns`, px;
@@ -416,7 +430,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         measurement: &Measurement,
         memory: Option<&dyn MotionMemory>,
     ) -> Result<Step, Refusal> {
-        self.root = None;
+        (self.root, self.has_thought) = (None, false);
         let is_linked = self.state.is_linked;
         let (initial, mismatch) = self.receive(measurement).inspect_err(|_| {
             self.skip_mismatch();
@@ -428,7 +442,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// The command for a cycle without an image, that takes effect at `effective_ns`: the answer to
     /// the prediction. `None` if the commands since the last image are not known.
     pub fn coast(&mut self, effective_ns: u64, memory: Option<&dyn MotionMemory>) -> Option<Step> {
-        self.root = None;
+        (self.root, self.has_thought) = (None, false);
         let mut initial = self.state_at(effective_ns, self.state.drift.believed)?;
         initial.drift.rate = [0.0; DOF];
         initial.q = self.joints_at(effective_ns);
@@ -463,6 +477,14 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             _ => self.task.period,
         };
         let is_foresight = self.settings.strategy == Strategy::Foresight;
+        if is_foresight && self.state.foresight.drafted == 0 {
+            // The first command of a run follows a thought, too, which comes before it.
+            self.spent = 0.0;
+            self.root = Some(initial.clone());
+            self.think(memory);
+            self.has_thought = true;
+        }
+        let points = &initial.points;
         let guide = Some(&self.state.foresight.guide).filter(|_| is_foresight);
         let towards = guide.and_then(|guide| guide.posture(&self.state.path));
         let dampers = self.task.dampers(initial.q.as_ref(), seconds, towards);
@@ -477,6 +499,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 self.state.previous = repeated(&step.twist);
             }
             Strategy::Foresight => {
+                let certainty = self.certainty();
                 let guide = &mut self.state.foresight.guide;
                 let at = At {
                     task: &self.task,
@@ -485,12 +508,19 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                     path: &self.state.path,
                 };
                 let steps = self.task.period / self.task.ts;
-                let tracked = guide.advance(&at, self.converged_px, steps);
+                let drift = &initial.drift.twist;
+                // Along a way, time passes as slowly as the camera goes.
+                let wanted = guide.follow(&at, &self.state.way, drift, certainty * steps);
+                let tracked = match wanted {
+                    Some(_) => None,
+                    None => guide.advance(&at, self.converged_px, steps),
+                };
                 if tracked.is_some() && guide.kind.is_remembered() {
                     step.asked = Asked::Followed;
                 }
                 let warm = self.state.previous;
-                self.plan(&initial, dampers, &warm, tracked, mismatch, &mut step);
+                let towards = Towards { tracked, wanted };
+                self.plan(&initial, dampers, &warm, towards, mismatch, &mut step);
             }
             Strategy::Previous | Strategy::Knn { .. } | Strategy::Gpr => {
                 let (recall, asked) = self.recall(points, clearance_px, memory);
@@ -500,7 +530,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 let warm = recall.as_ref().map(|recall| repeated(&against(recall)));
                 let warm = warm.unwrap_or(self.state.previous);
                 let tracked = recall.map(|recall| recall.way_point);
-                self.plan(&initial, dampers, &warm, tracked, mismatch, &mut step);
+                let towards = Towards {
+                    tracked,
+                    wanted: None,
+                };
+                self.plan(&initial, dampers, &warm, towards, mismatch, &mut step);
             }
         }
         step.twist = self.slowed(&initial, dampers, &step.twist);
@@ -895,10 +929,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         initial: &InitialState,
         dampers: Option<&Dampers>,
         warm: &Plan,
-        tracked: Option<Points>,
+        towards: Towards,
         mismatch: Option<&Points>,
         step: &mut Step,
     ) {
+        let Towards { tracked, wanted } = towards;
         let aim = tracked.as_ref().unwrap_or(&self.task.goal);
         let target = corrected(aim, mismatch);
         let guide = &self.state.foresight.guide;
@@ -915,6 +950,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             warm,
             extra_px: self.back_off_px(initial),
             dampers,
+            wanted,
         };
         let Some(mut solver) = self.share.solver(&self.settings, self.workspace.as_mut()) else {
             step.status = Status::NumericalFailure;
@@ -931,13 +967,18 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.state.previous = solution.warm(&twist);
     }
 
+    /// How certain the places of hidden points are: 1 where none is hidden, 0 where they are not
+    /// known well enough any more.
+    fn certainty(&self) -> f64 {
+        (1.0 - self.state.blind.deviation_px / blind::most_px(&self.task)).max(0.0)
+    }
+
     /// The command, slowed down against the pattern as certainty of hidden points falls.
     fn slowed(&self, initial: &InitialState, dampers: Option<&Dampers>, twist: &Twist) -> Twist {
-        let deviation_px = self.state.blind.deviation_px;
-        if deviation_px == 0.0 {
+        let unsure = 1.0 - self.certainty();
+        if unsure == 0.0 {
             return *twist;
         }
-        let unsure = (deviation_px / blind::most_px(&self.task)).min(1.0);
         let with = arm::within(dampers, &initial.drift.twist);
         let mut slower = *twist;
         let pairs = slower.iter_mut().zip(with);
@@ -1040,6 +1081,14 @@ impl Share {
     fn solver<'w>(&self, settings: &Settings, workspace: &'w mut [f64]) -> Option<Solver<'w>> {
         Some(Solver::new(self.size, settings.solver(), workspace)?.with_budget(self.solution))
     }
+}
+
+/// What a command is to do.
+struct Towards {
+    /// A way point to track instead of the goal.
+    tracked: Option<Points>,
+    /// A twist whose nearest one is sent, instead of either.
+    wanted: Option<Twist>,
 }
 
 /// s_d = s* - eps: the target, corrected by the mismatch between measurement and prediction.

@@ -7,7 +7,7 @@
 //! Source: T. Barfoot, "State Estimation for Robotics", Sect. 7.1 (left Jacobian and its block Q).
 
 use libm::{cos, sin, sqrt};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 
 use crate::{DOF, Twist};
@@ -45,6 +45,56 @@ impl Motion {
     /// Where the point `x` (camera frame, m) is after the motion.
     pub fn apply(&self, x: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * x + self.translation
+    }
+
+    /// This motion and then another one.
+    pub fn then(&self, next: &Self) -> Self {
+        Self {
+            rotation: next.rotation * self.rotation,
+            translation: next.apply(&self.translation),
+        }
+    }
+
+    /// The motion back.
+    pub fn inverse(&self) -> Self {
+        let back = self.rotation.transpose();
+        Self {
+            rotation: back,
+            translation: -(back * self.translation),
+        }
+    }
+
+    /// How a small motion before this one acts after it: exp(Ad tau) M = M exp(tau).
+    pub fn adjoint(&self) -> Matrix6<f64> {
+        let mut adjoint = Matrix6::zeros();
+        adjoint
+            .fixed_view_mut::<3, 3>(0, 0)
+            .copy_from(&self.rotation);
+        adjoint
+            .fixed_view_mut::<3, 3>(3, 3)
+            .copy_from(&self.rotation);
+        let mixed = self.translation.cross_matrix() * self.rotation;
+        adjoint.fixed_view_mut::<3, 3>(0, 3).copy_from(&mixed);
+        adjoint
+    }
+
+    /// tau of the motion, which is exp(tau); of a rotation by less than half a turn.
+    pub fn logarithm(&self) -> Vector6<f64> {
+        let r = &self.rotation;
+        let twice = Vector3::new(r.m32 - r.m23, r.m13 - r.m31, r.m21 - r.m12);
+        let (sine, cosine) = (0.5 * twice.norm(), 0.5 * (r.trace() - 1.0));
+        let angle = libm::atan2(sine, cosine);
+        let scale = if sine < 1e-9 { 0.5 } else { 0.5 * angle / sine };
+        let phi = twice * scale;
+        let square = angle * angle;
+        // (1 - (angle / 2) cot(angle / 2)) / angle^2
+        let gap = match square < 1e-4 {
+            true => 1.0 / 12.0 + square / 720.0,
+            false => (1.0 - 0.5 * angle * sin(angle) / (1.0 - cos(angle))) / square,
+        };
+        let f = phi.cross_matrix();
+        let rho = self.translation - f * self.translation * 0.5 + f * f * self.translation * gap;
+        Vector6::new(rho.x, rho.y, rho.z, phi.x, phi.y, phi.z)
     }
 
     /// The twist of something that moves at `twist` (camera frame), in the frame after the motion.
@@ -132,6 +182,17 @@ impl Sensitivity {
             linear: jacobian * -ts,
             coupling: coupling * -ts,
         }
+    }
+
+    /// J, by which a change of the velocity acts after the motion: it becomes exp(J dv) M.
+    pub fn square(&self) -> Matrix6<f64> {
+        let mut square = Matrix6::zeros();
+        square.fixed_view_mut::<3, 3>(0, 0).copy_from(&self.linear);
+        square.fixed_view_mut::<3, 3>(3, 3).copy_from(&self.linear);
+        square
+            .fixed_view_mut::<3, 3>(0, 3)
+            .copy_from(&self.coupling);
+        square
     }
 
     /// Derivative of the moved point `moved` with respect to the camera velocity: 3 rows of (nu,
@@ -277,6 +338,34 @@ mod tests {
             x += (k1 + k2 * 2.0 + k3 * 2.0 + k4) * (h / 6.0);
         }
         assert!((x - expected).norm() < 1e-12);
+    }
+
+    #[test]
+    fn the_logarithm_undoes_the_exponential() {
+        for size in [1e-9, 1e-3, 0.5, 2.0] {
+            let tau = [0.3, -0.2, 0.4, 0.7, -0.9, 0.6].map(|x| size * x);
+            let motion = Motion::of_camera(&tau.map(|tau| -tau), 1.0);
+            let off = motion.logarithm() - Vector6::from(tau);
+            assert!(off.amax() < 1e-12 + 1e-9 * size, "{size} {off}");
+            assert!(motion.then(&motion.inverse()).logarithm().amax() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn adjoint_and_sensitivity_tell_how_small_motions_act() {
+        let v = [0.3, -0.2, 0.4, 0.7, -0.9, 1.1];
+        let motion = Motion::of_camera(&v, 0.7);
+        let small = [1e-6, -2e-6, 1e-6, 2e-6, 1e-6, -1e-6];
+        let tau = Vector6::from(small);
+        let exp = |tau: Vector6<f64>| Motion::of_camera(&(-tau).into(), 1.0);
+        let before = exp(tau).then(&motion);
+        let after = motion.then(&exp(motion.adjoint() * tau));
+        assert!(before.inverse().then(&after).logarithm().amax() < 1e-10);
+        let faster = core::array::from_fn(|k| v[k] + small[k]);
+        let faster = Motion::of_camera(&faster, 0.7);
+        let by = Sensitivity::of_camera(&v, 0.7).square() * tau;
+        let off = motion.then(&exp(by)).inverse().then(&faster).logarithm();
+        assert!(off.amax() < 1e-10, "{off}");
     }
 
     #[test]

@@ -40,6 +40,10 @@ pub struct Problem<'a> {
     pub margin: f64,
     /// What the arm allows, where it is known, and what a posture that it goes to wants.
     pub dampers: Option<&'a Dampers>,
+    /// The twist whose nearest one is searched for, instead of the target.
+    pub wanted: Option<Twist>,
+    /// Steps of the window in which clearances count.
+    pub watched: usize,
 }
 
 /// What a plan costs.
@@ -59,7 +63,8 @@ impl Problem<'_> {
     /// The weights of the cost: towards a posture the nearest twist to the wanted one counts, and
     /// no image.
     pub(crate) fn weights(&self) -> Weights<'_> {
-        match self.dampers.and_then(|dampers| dampers.wanted.as_ref()) {
+        let of_posture = || self.dampers.and_then(|dampers| dampers.wanted.as_ref());
+        match self.wanted.as_ref().or_else(of_posture) {
             Some(wanted) => Weights {
                 k_q: 0.0,
                 r_share: 1.0,

@@ -368,7 +368,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
                 add(INSIDE, i, index, clearance.distance - margin, gradient);
             }
         }
-        'window: for (j, step) in preview.steps().enumerate() {
+        'window: for (j, step) in preview.steps().enumerate().take(problem.watched) {
             for (i, point) in step.enumerate() {
                 let place = point.place;
                 let reach = reach(place.pixel, point.gradient, bounds);
@@ -523,7 +523,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
         };
         let inside = self.inside.near();
         inside.for_each(|i| count(self.inside.violation(task, i, margin)));
-        for j in 0..self.preview.np() {
+        for j in 0..self.preview.np().min(problem.watched) {
             for Place { pixel, radius } in self.preview.places(j) {
                 count(constraint::violation(task, pixel, margin + radius));
             }

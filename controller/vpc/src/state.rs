@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::arm::Posture;
 use crate::blind::Blind;
 use crate::delay::History;
+use crate::draft::Draft;
 use crate::drift::Drift;
 use crate::features::PlainPoints;
 use crate::follow::Follow;
@@ -14,6 +15,7 @@ use crate::patience::Patience;
 use crate::pose::Tilt;
 use crate::prediction::Plan;
 use crate::strategy::Strategy;
+use crate::way::Way;
 use crate::{DOF, MAX_VARIABLES, Twist};
 
 /// All that a [`Law`](crate::Law) remembers from one cycle to the next. Another law of the same
@@ -29,6 +31,10 @@ pub struct State {
     pub foresight: Foresight,
     /// The path in the arm's joints that was found last.
     pub path: JointPath,
+    /// The refined way that was found last.
+    pub way: Way,
+    /// The way that is being refined.
+    pub draft: Draft,
     /// Searches for one so far.
     pub searches: u32,
     /// How long nothing has improved.
@@ -76,6 +82,8 @@ impl State {
             near: false,
             foresight: Foresight::NONE,
             path: JointPath::NONE,
+            way: Way::NONE,
+            draft: Draft::NONE,
             searches: 0,
             patience: Patience::NEW,
             previous: [0.0; MAX_VARIABLES],

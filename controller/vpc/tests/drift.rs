@@ -264,7 +264,7 @@ fn a_pattern_is_followed_with_a_wrong_gain() {
 #[test]
 fn an_image_that_sticks_is_not_taken_for_motion() {
     let mut ways = Vec::new();
-    for stuck in [15, 30, 45] {
+    for stuck in [10, 20, 30] {
         for run in runs(&Trial {
             stuck,
             ..Trial::default()

@@ -322,6 +322,8 @@ codes! {
         Regression = 5 => "GPR way point",
         /// A path in the arm's joints, to the goal.
         Joints = 6 => "joint path",
+        /// A way that was refined as a whole.
+        Refined = 7 => "refined way",
     }
 }
 

@@ -98,6 +98,8 @@ impl<'a> Finder<'a> {
             interval: f64::INFINITY,
             margin: 0.0,
             dampers: None,
+            wanted: None,
+            watched: vpc::MAX_NP,
         };
         let plan: Plan = std::array::from_fn(|k| if k < 6 { warm[k] } else { 0.0 });
         let mut solver = Solver::new(self.size, self.settings.solver(), &mut self.workspace)?;

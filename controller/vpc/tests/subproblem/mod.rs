@@ -114,6 +114,8 @@ impl Case {
             interval: self.task.ts,
             margin: 0.0,
             dampers: None,
+            wanted: None,
+            watched: vpc::MAX_NP,
         }
     }
 

@@ -202,6 +202,8 @@ enum vpc_foresight_code {
     VPC_FORESIGHT_CODE_REGRESSION = 5,
     // A path in the arm's joints, to the goal.
     VPC_FORESIGHT_CODE_JOINTS = 6,
+    // A way that was refined as a whole.
+    VPC_FORESIGHT_CODE_REFINED = 7,
 };
 
 // Whether the grid of releases follows the camera's frames.

@@ -190,6 +190,8 @@ class ForesightCode(Code):
     REGRESSION = 5, "GPR way point"
     # A path in the arm's joints, to the goal.
     JOINTS = 6, "joint path"
+    # A way that was refined as a whole.
+    REFINED = 7, "refined way"
 
 
 class PhaseCode(Code):
