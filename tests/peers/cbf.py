@@ -1,7 +1,7 @@
 """Classic visual servoing behind a control barrier function: the nearest twist that keeps every point in sight.
 
-A quadratic program a period (ProxSuite): min |W (v - v_ibvs)|^2 + rho |slack|^2 where each clearance h of each point has
-dh/dt >= -ALPHA h - slack, within the limits. Tuned: ALPHA out of 1, 2, 4, 8, 16 on paper-sim, 20@5.
+A quadratic program a period (ProxSuite): min |W (v - v_ibvs)|^2 + rho |slack|^2 where each clearance h of each point
+has dh/dt >= -ALPHA h - slack, within the limits. Tuned: ALPHA out of 1, 2, 4, 8, 16 on paper-sim, 20@5.
 """
 
 import sys

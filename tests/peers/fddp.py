@@ -1,10 +1,10 @@
 """Crocoddyl's feasibility-driven differential dynamic programming with bounds (BoxFDDP) as a receding horizon.
 
 The first plan of a run is solved until it converges; each cycle then shifts the plan by a period and improves it by one
-iteration. Cold it begins with standing still; with `--memory FILE` with the twists of the nearest trajectory of our
-memory of motion. It prints how many iterations first plans took. A second and a half ahead; the cost is that of the table, with
-a squared penalty for clearances below a margin. Within NEAR times the threshold classic visual servoing takes over.
-Tuned: the penalty out of 1, 10, 100 on paper-sim, the first 5 of 20@5.
+iteration. Cold it begins with standing still; with `--memory FILE` with states and twists of the nearest trajectory
+of our memory of motion. It prints how many iterations first plans took. 30 steps ahead; the cost is that of the table,
+with a squared penalty for clearances below a margin. Within NEAR times the threshold classic visual servoing takes over.
+Tuned: the penalty out of 1, 10, 100 and the margin out of 5, 10 px on paper-sim, the first 5 of 20@5.
 """
 
 import json
@@ -14,10 +14,11 @@ import crocoddyl
 import numpy
 
 import adapter
+from geometry import Tracker
 from ibvs import Ibvs
 
-STEPS, MOST = 45, 50
-PENALTY, MARGIN_PX = 10.0, 5.0
+STEPS, MOST = 30, 50
+PENALTY, MARGIN_PX = 10.0, 10.0
 LAST = 10.0  # weight of the last node
 NEAR = 10
 
@@ -106,16 +107,21 @@ class Memory:
         self.twists = tensor("samples.y")[:count, :6]
         self.trajectory, self.step = tensor("samples.origin")[:, :count]
 
-    def twists_from(self, pixels):
-        """The twists of each period from the sample that is nearest in the image to the end of its trajectory."""
+    def way_from(self, scene, pixels):
+        """States and twists of each period from the sample nearest in the image to its trajectory's end, then at
+        rest."""
         wanted = (pixels.ravel() - self.offset) / self.scale
         nearest = ((self.x - wanted) ** 2).sum(axis=1).argmin()
         later = (self.trajectory == self.trajectory[nearest]) & (self.step >= self.step[nearest])
         order = numpy.flatnonzero(later)[self.step[later].argsort()]
-        # A sample stands for the periods up to the next one.
-        at = numpy.searchsorted(self.step[order] - self.step[nearest], numpy.arange(STEPS), side="right") - 1
-        is_over = numpy.arange(STEPS) > self.step[order[-1]] - self.step[nearest]
-        return numpy.where(is_over[:, None], 0.0, self.twists[order][at])
+        track = Tracker(scene)
+        seen = (self.x[order] * self.scale + self.offset).reshape(len(order), -1, 2)
+        states = numpy.array([track(pixels).ravel() for pixels in seen])
+        steps = self.step[order] - self.step[nearest]
+        between = lambda values, times: numpy.array([numpy.interp(times, steps, column) for column in values.T]).T
+        xs, us = between(states, numpy.arange(STEPS + 1)), between(self.twists[order], numpy.arange(STEPS))
+        us[numpy.arange(STEPS) > steps[-1]] = 0.0
+        return list(xs), list(numpy.clip(us, -scene.limits, scene.limits))
 
 
 class Fddp(Ibvs):
@@ -135,14 +141,17 @@ class Fddp(Ibvs):
         scene, x = self.scene, points.ravel()
         if abs(pixels - scene.goal).max() < NEAR * scene.table["convergence_px"]:
             return super().plan(points, pixels)
-        is_first = self.us is None
-        if is_first:
-            twists = self.memory.twists_from(pixels) if self.memory else numpy.zeros((STEPS, 6))
-            self.us = list(numpy.clip(twists, -scene.limits, scene.limits))
         problem = crocoddyl.ShootingProblem(x, [self.model] * STEPS, self.last)
         solver = crocoddyl.SolverBoxFDDP(problem)
         solver.th_stop = 1e-3
-        solver.solve(problem.rollout(self.us), self.us, MOST if is_first else 1, True)
+        is_first, is_feasible = self.us is None, True
+        if is_first and self.memory:
+            xs, self.us = self.memory.way_from(scene, pixels)
+            xs[0], is_feasible = x, False
+        else:
+            self.us = self.us or [numpy.zeros(6)] * STEPS
+            xs = problem.rollout(self.us)
+        solver.solve(xs, self.us, MOST if is_first else 1, is_feasible)
         if is_first:
             self.iterations.append(solver.iter + 1)
         us = [numpy.array(u) for u in solver.us]

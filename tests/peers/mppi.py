@@ -1,8 +1,9 @@
 """Model predictive path integral control in NumPy: sampled twists over a second, weighted by exp(-cost / LAMBDA).
 
-Usual settings: 512 samples of 30 steps about the last plan, shifted by a step; noise is held for five steps. The cost is
-that of the table, and a penalty for each px inside something. Within NEAR times the threshold of arrival classic visual
-servoing takes over. Tuned: LAMBDA out of 1, 10, 100, 1000, NOISE (of the limits) out of 0.1, 0.15, 0.2, 0.5 on paper-sim, the first 5 of 20@5.
+Usual settings: 512 samples of 30 steps about the last plan, shifted by a step; noise is held for five steps. The cost
+is that of the table, and a penalty for each px inside something. Within NEAR times the threshold of arrival classic
+visual servoing takes over. Tuned: LAMBDA out of 1, 10, 100, 1000, NOISE (of the limits) out of 0.1, 0.15, 0.2, 0.5 on
+paper-sim, the first 5 of 20@5.
 """
 
 import sys

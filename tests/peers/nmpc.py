@@ -1,8 +1,8 @@
 """Nonlinear model predictive control by acados: `nmpc.py NP`, real-time iteration (SQP_RTI) with HPIPM.
 
 States are the points in the camera, a twist in each of NP periods, the cost that of the table, clearances in each
-period and halfway to the next as soft rows (L1); masks as discs that fill them. Tuned: the weight of the rows, out of 10,
-100, 1000 on paper-sim and cup-disc-bars, 20@5.
+period and halfway to the next as soft rows (L1); masks as discs that fill them. Tuned: the weight of the rows, out of
+10, 100, 1000 on paper-sim and cup-disc-bars, 20@5.
 """
 
 import ctypes
@@ -85,7 +85,7 @@ class Nmpc(Peer):
             return x + dt * rate(x + 0.5 * dt * rate(x))
 
         pixels = seen(x)
-        errors = casadi.vertcat(*[value - scene.goal[k, c] for k, two in enumerate(pixels) for c, value in enumerate(two)])
+        errors = casadi.vertcat(*[two[c] - scene.goal[k, c] for k, two in enumerate(pixels) for c in (0, 1)])
         # It halves squares.
         errors = numpy.sqrt(2.0 * scene.k_q) * errors
         efforts = numpy.sqrt(2.0) * casadi.sqrt(casadi.DM(scene.effort) * share) * v
