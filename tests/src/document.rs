@@ -22,7 +22,7 @@ pub struct Document<Row, Run> {
 pub struct Record<Run> {
     /// Index of its start among all starts.
     pub start: usize,
-    /// Strategy and window, or a rival.
+    /// Strategy and window, or an external method.
     pub strategy: String,
     /// What happened.
     #[serde(flatten)]

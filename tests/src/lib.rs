@@ -3,10 +3,12 @@
 
 #![forbid(unsafe_code)]
 
+pub mod benchmark;
 pub mod children;
 pub mod column;
 pub mod document;
 pub mod edge;
+pub mod external;
 pub mod fci_table;
 pub mod film;
 pub mod flags;
@@ -15,7 +17,6 @@ pub mod joint_task;
 pub mod laboratory;
 pub mod pictures;
 pub mod processes;
-pub mod rival;
 pub mod robot;
 pub mod robot_table;
 pub mod row;

@@ -10,9 +10,9 @@ use crate::statistics::{mean, wilson};
 /// The paper's Table I for one strategy, and what the paper does not show.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// Name of the strategy, or a rival.
+    /// Name of the strategy, or an external method.
     pub strategy: String,
-    /// Steps previewed; a rival tells nothing of its law.
+    /// Steps previewed; an external method tells nothing of them.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub np: Option<usize>,
     /// Share of successful runs, 0 to 1.
@@ -86,8 +86,8 @@ impl CycleTime {
 }
 
 impl Row {
-    /// The row of a strategy's runs, or of a rival's without `np`, which shows how well they
-    /// followed if it `is_following`.
+    /// The row of a strategy's runs, or of an external method's without `np`, which shows how well
+    /// they followed if it `is_following`.
     pub fn of(strategy: String, np: Option<usize>, runs: &[Run], is_following: bool) -> Self {
         let count = runs.len().max(1) as f64;
         let cycles: Vec<f64> = runs
@@ -160,9 +160,7 @@ pub const COLUMNS: [Column<Row>; 23] = [
     }),
     Column::always("cost", |row| format!("{:.2}", row.mean_cost)),
     Column::always("cycles", |row| format!("{:.0}", row.steps)),
-    Column::always("p99 (us)", |row| {
-        of_law(row, format!("{:.1}", row.cycle_us.p99))
-    }),
+    Column::always("p99 (us)", |row| format!("{:.1}", row.cycle_us.p99)),
     Column::always("failures", |row| {
         column::failures(&[
             (row.violations, "violation"),
@@ -196,15 +194,9 @@ pub const COLUMNS: [Column<Row>; 23] = [
     Column::wide("not converged", |row| {
         of_law(row, percent(row.solver_not_converged))
     }),
-    Column::wide("mean (us)", |row| {
-        of_law(row, format!("{:.1}", row.cycle_us.mean))
-    }),
-    Column::wide("p50 (us)", |row| {
-        of_law(row, format!("{:.1}", row.cycle_us.p50))
-    }),
-    Column::wide("max (us)", |row| {
-        of_law(row, format!("{:.1}", row.cycle_us.max))
-    }),
+    Column::wide("mean (us)", |row| format!("{:.1}", row.cycle_us.mean)),
+    Column::wide("p50 (us)", |row| format!("{:.1}", row.cycle_us.p50)),
+    Column::wide("max (us)", |row| format!("{:.1}", row.cycle_us.max)),
     Column::wide("slack p50 (us)", |row| {
         of_law(row, format!("{:.0}", row.slack_us.p50))
     }),
@@ -219,7 +211,7 @@ pub const COLUMNS: [Column<Row>; 23] = [
     }),
 ];
 
-/// A figure of our law; `-` for a rival.
+/// A figure of our law; `-` for an external method.
 fn of_law(row: &Row, figure: String) -> String {
     row.np.map_or("-".to_owned(), |_| figure)
 }

@@ -35,6 +35,8 @@ pub struct Run {
     pub steps: usize,
     /// Mean over the cycles of the scene's time of l(v) / Np, against the goal (paper, Table I).
     pub cost: f64,
+    /// That Np: periods for which the cost of a command is counted.
+    pub np: usize,
     /// Mean over the periods after arrival of the change of the command from one to the next, as a
     /// share of the limit (largest component); `None` if there were none.
     pub change: Option<f64>,
@@ -54,7 +56,8 @@ pub struct Run {
     /// Where markers have a size: least clearance of any marker's edge at all these instants, px.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub least_edge_px: Option<f64>,
-    /// Time of each decision until the run was decided, us: filled by [`time`].
+    /// Time of each decision until the run was decided, us: filled by [`time`], and from an external
+    /// method's [`times`](crate::external::External::times_us).
     pub cycles_us: Vec<f64>,
     /// Time that foresight took after each of those cycles, us: filled by [`time`].
     pub slack_us: Vec<f64>,
@@ -168,6 +171,7 @@ pub fn through<S: Steering>(
         cause: None,
         steps: periods,
         cost: 0.0,
+        np,
         change: None,
         standstill_s: None,
         pose_error: None,

@@ -23,10 +23,10 @@ use scene::{Arm, Pose, Scene, read_starts};
 use serde::Serialize;
 use system_tests::children::{Children, attended};
 use system_tests::document::{self, Document};
+use system_tests::external::{External, Method};
 use system_tests::fci_table::{self, FciFlags, Setup};
 use system_tests::flags::{Common, RobotFlags, check};
 use system_tests::pictures::{self, Draw};
-use system_tests::rival::Rival;
 use system_tests::row::{self, Row};
 use system_tests::run::{Caches, Run, World, through, time};
 use system_tests::simulated::Simulated;
@@ -42,7 +42,7 @@ use vpc::{Settings, Task};
 ///
 /// Columns: success, the share of runs that arrived in the scene's time without a violation; cost,
 /// the mean of what the law minimizes, per step ahead; cycles to arrival, the mean over these runs;
-/// p99 of the time that a decision takes; failures by their reason. With --wide also slack, the time
+/// p99 of the time that a decision takes, of an external method from question to answer; failures by their reason. With --wide also slack, the time
 /// that foresight takes after each decision.
 #[derive(Parser)]
 #[command(name = "table", version)]
@@ -105,10 +105,13 @@ struct CameraFlags {
     /// Go back along the camera's way where points are hidden for longer than `safety.blind_s`.
     #[arg(long)]
     retrace: bool,
-    /// Another program that steers, with its arguments; `tests/rivals/visp.cpp` says what it reads
-    /// and writes. Several have a row each.
-    #[arg(long, value_name = "PROGRAM ARGS")]
-    rival: Vec<String>,
+    /// A method of another program: its row's name, the program and its arguments, separated by
+    /// spaces. `tests/peers/README.md` says what it reads and writes. Several have a row each.
+    #[arg(long, value_name = "NAME=PROGRAM ARGS")]
+    external: Vec<Method>,
+    /// Time that an external method has for each answer, and to start.
+    #[arg(long, value_name = "S", default_value_t = 60.0)]
+    timeout_s: f64,
 }
 
 /// The paper's memory has 900 trajectories.
@@ -242,7 +245,8 @@ fn free(
         hide,
         blackout_s,
         retrace,
-        ref rival,
+        ref external,
+        timeout_s,
         ..
     } = cli.camera;
     let on_loss = match retrace {
@@ -252,6 +256,7 @@ fn free(
     check("--gain", gain, 0.0, 10.0)?;
     check("--hide", hide, 0.0, 1.0)?;
     check("--blackout-s", blackout_s, 0.0, 60.0)?;
+    check("--timeout-s", timeout_s, 0.01, 3600.0)?;
     // The same images, from pattern and goal of another size.
     let wrong = Truth {
         depth: cli.common.depth_error,
@@ -259,7 +264,7 @@ fn free(
     };
     let believed = wrong.scene(scene);
     let is_following = cli.common.is_following();
-    let bar = bar((cli.common.strategies.len() + rival.len()) * starts.len());
+    let bar = bar((cli.common.strategies.len() + external.len()) * starts.len());
     let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
     for &spec in &cli.common.strategies {
         let settings = cli.common.settings(spec);
@@ -287,14 +292,29 @@ fn free(
         }
         all.push((name, runs));
     }
-    for words in rival {
+    for method in external {
+        let name = method.name.clone();
+        if all.iter().any(|(other, _)| *other == name) {
+            bail!("--external {name}=: a row has this name; allowed: a name for each row");
+        }
         let settings = Settings {
             brake_s: cli.common.brake_s,
             ..Settings::default()
         };
-        let mut rival = Rival::start(words, &believed, &settings)?;
-        let name = rival.name().to_owned();
-        let runs = runs(cli, scene, starts, (&name, &bar), &mut rival, |_, _| Ok(()))?;
+        let patience = Duration::from_secs_f64(timeout_s);
+        let mut method = External::start(method, &believed, &settings, patience)?;
+        let runs = runs(
+            cli,
+            scene,
+            starts,
+            (&name, &bar),
+            &mut method,
+            |run, method| {
+                let until_decided = method.times_us().iter().take(run.history.len());
+                run.cycles_us = until_decided.copied().collect();
+                Ok(())
+            },
+        )?;
         rows.push(Row::of(name.clone(), None, &runs, is_following));
         all.push((name, runs));
     }
@@ -569,8 +589,8 @@ mod tests {
             ("--gain 0.8 --robot panda", "--gain goes with --robot free"),
             ("--hide 0.3 --robot panda", "--hide goes with --robot free"),
             (
-                "--rival visp --robot panda",
-                "--rival goes with --robot free",
+                "--external visp=visp --robot panda",
+                "--external goes with --robot free",
             ),
             (
                 "--blackout-s 0.5 --robot panda",

@@ -53,9 +53,14 @@ fn build(name: &str) {
 
 /// Where this build's programs are: `target/debug` or `target/release`.
 fn profile_directory() -> PathBuf {
-    let test = std::env::current_exe().expect("the path of this test");
-    // target/debug/deps/TEST
-    test.ancestors().nth(2).unwrap_or(Path::new("/")).to_owned()
+    let program = std::env::current_exe().expect("the path of this program");
+    let directory = program.parent().unwrap_or(Path::new("/"));
+    // target/debug/deps/TEST, target/debug/examples/PROGRAM, or target/debug/PROGRAM
+    let is_below = ["deps", "examples"]
+        .iter()
+        .any(|name| directory.ends_with(name));
+    let above = directory.parent().filter(|_| is_below);
+    above.unwrap_or(directory).to_owned()
 }
 
 /// The target directory of this build.

@@ -9,7 +9,7 @@ use serde_json::Value;
 use testkit::{ended, root};
 
 /// The programs of the workspace that a plain `cargo test` builds.
-pub const BUILT: [&str; 8] = [
+pub const BUILT: [&str; 9] = [
     "vpcd",
     "hw-sim",
     "vpcctl",
@@ -18,6 +18,7 @@ pub const BUILT: [&str; 8] = [
     "demo",
     "table",
     "laboratory",
+    "benchmark",
 ];
 /// The others, which need packages that nothing else needs.
 pub const LEFT_OUT: [&str; 3] = ["vpc-camera", "vpc-calib", "vpc-ros2"];
@@ -43,7 +44,9 @@ impl Call {
         }
         let mut cargo = Vec::new();
         let mut program = words.remove(0);
-        if program == "cargo" && ["run", "demo", "table", "laboratory"].contains(&&*words[0]) {
+        if program == "cargo"
+            && ["run", "demo", "table", "laboratory", "benchmark"].contains(&&*words[0])
+        {
             let end = words.iter().position(|word| word == "--");
             let rest = end.map_or(Vec::new(), |end| words.split_off(end + 1));
             cargo = std::mem::replace(&mut words, rest);
@@ -139,6 +142,7 @@ pub fn program(name: &str) -> PathBuf {
         "demo" => env!("CARGO_BIN_EXE_demo").into(),
         "table" => env!("CARGO_BIN_EXE_table").into(),
         "laboratory" => env!("CARGO_BIN_EXE_laboratory").into(),
+        "benchmark" => env!("CARGO_BIN_EXE_benchmark").into(),
         name => testkit::program(name),
     }
 }

@@ -1,20 +1,8 @@
-// Steers as users of ViSP do: a rival of our strategies in `cargo table --rival target/visp`. Built
-// from the root of the repository, with Debian's libvisp-vs-dev and libvisp-vision-dev, by
-//     c++ -O2 -isystem /usr/include/opencv4 tests/rivals/visp.cpp -o target/visp
+// Steers as users of ViSP do: a peer of our strategies in `cargo table --external
+// ViSP=target/visp`. README.md describes the lines of JSON that it reads and writes. Built from
+// the root of the repository, with Debian's libvisp-vs-dev and libvisp-vision-dev, by
+//     c++ -O2 -isystem /usr/include/opencv4 tests/peers/visp.cpp -o target/visp
 //     -lvisp_vs -lvisp_visual_features -lvisp_robot -lvisp_vision -lvisp_core
-//
-// It reads lines of numbers separated by spaces, in m, s, rad and px; the camera frame has x right,
-// y down, z forward:
-//   run FX FY CX CY PERIOD LIMIT*6 N (X Y Z)*N (U V)*N
-//     begins a run and forgets the last one. Camera, period, greatest size of each component of the
-//     twist; then the pattern's points, and their pixels at the goal. No answer.
-//   frame EXPOSED (U V)*N
-//     is what arrived in this period: when it was exposed, and all points.
-//   hidden
-//     means that a frame without all points arrived,
-//   none
-//     that none did. Each of these three is answered by a line: the camera's twist for a period
-//     from now on, linear and angular.
 //
 // The law is vpServo on points: eye in hand, present interaction matrix, depths by vpPose, zero
 // where a point is hidden; without a frame the last twist goes on.
@@ -25,6 +13,7 @@
 
 #include <array>
 #include <iostream>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <sstream>
@@ -52,19 +41,39 @@ struct Options {
     std::array<double, 3> filter{{0.00001, 0.05, 0.3}};
 };
 
-/// The next number of a line.
-double number(std::istream &line) {
-    double value;
-    if (!(line >> value)) {
-        throw std::runtime_error("a line has too few numbers");
+/// The numbers of a line of JSON behind a key, up to the next string; what is null is left out.
+std::vector<double> numbers(const std::string &line, const std::string &key) {
+    const std::string quoted = '"' + key + "\":";
+    const size_t at = line.find(quoted);
+    if (at == std::string::npos) {
+        throw std::runtime_error("a line has no `" + key + "`");
     }
-    return value;
+    const size_t begin = at + quoted.size();
+    std::string text = line.substr(begin, line.find('"', begin) - begin);
+    for (char &c : text) {
+        if (std::string("+-.0123456789eE").find(c) == std::string::npos) {
+            c = ' ';
+        }
+    }
+    std::istringstream words(text);
+    return {std::istream_iterator<double>(words), std::istream_iterator<double>()};
 }
 
-/// The next point of a line.
-vpImagePoint pixel(std::istream &line) {
-    const double u = number(line), v = number(line);
-    return vpImagePoint(v, u);
+double number(const std::string &line, const std::string &key) {
+    const std::vector<double> found = numbers(line, key);
+    if (found.empty()) {
+        throw std::runtime_error("`" + key + "` has no number");
+    }
+    return found[0];
+}
+
+/// Pixels of numbers, two each.
+std::vector<vpImagePoint> pixels(const std::vector<double> &numbers) {
+    std::vector<vpImagePoint> points;
+    for (size_t i = 0; i + 1 < numbers.size(); i += 2) {
+        points.emplace_back(numbers[i + 1], numbers[i]);
+    }
+    return points;
 }
 
 /// The filtered motion of the target in the image, in normalized coordinates a second.
@@ -109,22 +118,19 @@ private:
 /// One run.
 class Run {
 public:
-    Run(const Options &options, std::istream &line) : compensates(options.compensates) {
-        const double fx = number(line), fy = number(line), cx = number(line), cy = number(line);
-        camera.initPersProjWithoutDistortion(fx, fy, cx, cy);
-        number(line); // The period: frames tell when they were exposed.
-        for (unsigned int i = 0; i < 6; i++) {
-            limits[i] = number(line);
-        }
-        points.resize(static_cast<size_t>(number(line)));
-        for (vpPoint &point : points) {
-            const double x = number(line), y = number(line), z = number(line);
-            point.setWorldCoordinates(x, y, z);
-        }
-        present.resize(points.size());
-        goal.resize(points.size());
-        for (size_t i = 0; i < points.size(); i++) {
-            vpFeatureBuilder::create(goal[i], camera, pixel(line));
+    Run(const Options &options, const std::string &scene) : compensates(options.compensates) {
+        camera.initPersProjWithoutDistortion(number(scene, "fx"), number(scene, "fy"),
+                                             number(scene, "cx"), number(scene, "cy"));
+        limits = vpColVector(numbers(scene, "limits"));
+        const std::vector<double> pattern = numbers(scene, "pattern");
+        const std::vector<vpImagePoint> wanted = pixels(numbers(scene, "features"));
+        points.resize(wanted.size());
+        present.resize(wanted.size());
+        goal.resize(wanted.size());
+        for (size_t i = 0; i < wanted.size(); i++) {
+            const double *point = &pattern.at(3 * i);
+            points[i].setWorldCoordinates(point[0], point[1], point[2]);
+            vpFeatureBuilder::create(goal[i], camera, wanted[i]);
             // The present interaction matrix needs no depth at the goal.
             goal[i].set_Z(1.0);
             task.addFeature(present[i], goal[i]);
@@ -138,24 +144,24 @@ public:
 
     ~Run() { task.kill(); }
 
-    /// The answer to a line.
-    const vpColVector &answer(const std::string &verb, std::istream &line) {
-        if (verb == "frame") {
-            twist = vpRobot::saturateVelocities(servo(line), limits);
-        } else if (verb == "hidden") {
+    /// The answer to what arrived in a period: zero where a point is hidden, and the last twist
+    /// without a frame.
+    const vpColVector &answer(const std::string &line) {
+        const std::vector<vpImagePoint> seen = pixels(numbers(line, "points"));
+        if (seen.size() == points.size()) {
+            const vpColVector wanted = servo(seen, number(line, "exposed"));
+            twist = vpRobot::saturateVelocities(wanted, limits);
+        } else if (line.find("\"points\":null") == std::string::npos) {
             twist = 0.0;
-        } else if (verb != "none") {
-            throw std::runtime_error("`" + verb + "`; expected: run, frame, hidden or none");
         }
         return twist;
     }
 
 private:
-    vpColVector servo(std::istream &line) {
-        const double exposed_s = number(line);
+    vpColVector servo(const std::vector<vpImagePoint> &seen, double exposed_s) {
         vpPose view;
         for (size_t i = 0; i < points.size(); i++) {
-            vpFeatureBuilder::create(present[i], camera, pixel(line));
+            vpFeatureBuilder::create(present[i], camera, seen[i]);
             points[i].set_x(present[i].get_x());
             points[i].set_y(present[i].get_y());
             view.addPoint(points[i]);
@@ -197,7 +203,7 @@ private:
 
     bool compensates;
     vpCameraParameters camera;
-    vpColVector limits = vpColVector(6, 0.0);
+    vpColVector limits;
     std::vector<vpPoint> points;
     std::vector<vpFeaturePoint> present, goal;
     vpServo task;
@@ -212,7 +218,9 @@ std::array<double, 3> three(const std::string &text) {
     std::istringstream words(text);
     std::array<double, 3> numbers;
     for (double &value : numbers) {
-        value = number(words);
+        if (!(words >> value)) {
+            throw std::runtime_error("`" + text + "`; expected: three numbers");
+        }
         words.ignore(1, ',');
     }
     return numbers;
@@ -241,23 +249,24 @@ int main(int argc, char **argv) {
     try {
         const Options options = parse({argv + 1, argv + argc});
         std::unique_ptr<Run> run;
+        std::string scene;
         std::cout.precision(17);
-        for (std::string text; std::getline(std::cin, text);) {
-            std::istringstream line(text);
-            std::string verb;
-            line >> verb;
-            if (verb == "run") {
-                run.reset(new Run(options, line));
-                continue;
+        for (std::string line; std::getline(std::cin, line);) {
+            if (line.compare(0, 8, "{\"scene\"") == 0) {
+                scene = line;
+                std::cout << "\"ready\"" << std::endl;
+            } else if (line.compare(0, 6, "{\"run\"") == 0) {
+                run.reset(new Run(options, scene));
+                std::cout << "\"ready\"" << std::endl;
+            } else if (!run) {
+                throw std::runtime_error("`" + line + "`; expected: a run");
+            } else {
+                const vpColVector &twist = run->answer(line);
+                for (unsigned int i = 0; i < 6; i++) {
+                    std::cout << (i > 0 ? "," : "[") << twist[i];
+                }
+                std::cout << "]" << std::endl;
             }
-            if (!run) {
-                throw std::runtime_error("`" + verb + "`; expected: run");
-            }
-            const vpColVector &twist = run->answer(verb, line);
-            for (unsigned int i = 0; i < 6; i++) {
-                std::cout << twist[i] << (i < 5 ? " " : "\n");
-            }
-            std::cout.flush();
         }
     } catch (const std::exception &error) {
         std::cerr << "visp: " << error.what() << std::endl;
