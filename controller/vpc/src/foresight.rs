@@ -58,8 +58,10 @@ const BESIDE: f64 = 0.25;
 const BACK: f64 = 0.2;
 /// A simulated future is a first guess if it costs less than this multiple of the best known cost.
 const PROMISING: f64 = 2.0;
-/// Clearance of a draft beside the law's, px.
+/// Clearance of a draft beside the law's, px, and for each second by which features are older than
+/// the command that answers them: an arm that is slower than told is elsewhere by then.
 const SPARE_PX: f64 = 0.2;
+const SPARE_PX_S: f64 = 40.0;
 /// Steps of a draft beside those in which the incumbent arrives.
 const TAIL: usize = 5;
 /// A candidate that does not arrive replaces another such one if its error is below this share of
@@ -327,6 +329,8 @@ pub(crate) struct Thinker<'a> {
     pub most_blind_s: f64,
     /// For how long they have been out of sight in the next period, s, if they are.
     pub blind_s: f64,
+    /// Time from the last exposure to the command that answers it, s.
+    pub lead_s: f64,
     /// The features in the next period, where every future begins.
     pub initial: &'a InitialState,
     /// The command in force until then.
@@ -429,7 +433,7 @@ impl Thinker<'_> {
 
     /// Refines drafts, and follows one whose simulated future is cheaper.
     fn refine(&mut self, best: &mut Future, foresight: &mut Foresight) {
-        let extra_px = self.extra_px + SPARE_PX;
+        let extra_px = self.extra_px + SPARE_PX + SPARE_PX_S * self.lead_s;
         let Some(mut course) = course(&self.policy, self.initial, extra_px) else {
             return self.draft.discard();
         };

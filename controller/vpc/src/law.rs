@@ -245,6 +245,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             crossing: self.crossing.as_ref(),
             most_blind_s,
             blind_s,
+            lead_s: self.lead_s,
             initial: &next,
             standing: &self.state.standing,
             previous: &self.state.previous,
