@@ -92,6 +92,7 @@ pub mod recall;
 pub mod settings;
 mod size;
 pub mod solver;
+pub mod span;
 mod sqp;
 pub mod state;
 pub mod strategy;
