@@ -9,7 +9,11 @@ use crate::problem::{Problem, Solution};
 use crate::settings::Settings;
 use crate::solver::Solver;
 use crate::task::Task;
-use crate::{DOF, MAX_NP, Points, Twist};
+use crate::{DOF, MAX_NP, Points, Twist, ibvs};
+
+/// Least window where the camera takes time to brake, s, unless a stop from the limits is shorter.
+/// One of 0.1 s follows noise, wrong gains and frozen images at the goal.
+const REGULATING_S: f64 = 0.3;
 
 /// The inputs of a command.
 #[derive(Clone, Copy)]
@@ -66,6 +70,7 @@ impl Policy<'_> {
             change_share: self.settings.change_share * self.task.ts / interval,
             standing: *present.standing,
             interval,
+            ts: self.step_s(initial, target, interval),
             margin: self.settings.margin_px + extra_px,
             dampers,
             wanted,
@@ -75,6 +80,26 @@ impl Policy<'_> {
         let braking = repeated(&problem.braking());
         let solution = solver.solve_from(&problem, &[*warm, braking]);
         (limit::command(solver, &problem, &solution), solution)
+    }
+
+    /// Length of a step of the window, s. Where the camera takes time to brake, it is longer far
+    /// from the target: with a window of W the held command that is nearest to a target at a
+    /// distance D is g D / W, g = 3 Np / (2 Np + 1), and W = g / 2 sqrt(2 D / a) makes that
+    /// sqrt(2 a D), from which a stop ends there. No window is longer than a period and a stop from
+    /// the limits.
+    fn step_s(&self, initial: &InitialState, target: &Points, interval: f64) -> f64 {
+        let Self { task, settings } = self;
+        if !task.brakes() {
+            return task.ts;
+        }
+        let np = settings.np as f64;
+        let away = ibvs::twist(task, initial, target, 1.0);
+        let stop_s = away.map_or(f64::INFINITY, |away| {
+            1.5 * np / (2.0 * np + 1.0) * libm::sqrt(2.0 * task.stop_s(&away))
+        });
+        let longest_s = interval + task.stop_s(&task.limits);
+        let window_s = (interval + stop_s).max(REGULATING_S).min(longest_s);
+        task.ts.max(window_s / np)
     }
 
     /// l(v) of a command, held over the window, always against the goal with the fixed schedule of
@@ -94,6 +119,7 @@ impl Policy<'_> {
             change_share: 0.0,
             standing: [0.0; DOF],
             interval: self.task.ts,
+            ts: self.task.ts,
             margin: 0.0,
             dampers: None,
             wanted: None,

@@ -184,13 +184,14 @@ mod tests {
             change_share: 0.2,
             standing: [0.1, -0.2, 0.3, 0.1, 0.0, -0.4],
             interval: task.ts,
+            ts: task.ts,
             margin: 0.0,
             dampers: None,
             wanted: None,
             watched: 7,
         };
         let mut at = |plan: &[f64; 12]| {
-            assert!(preview.linearize(&task, &initial, plan));
+            assert!(preview.linearize(&task, &initial, plan, task.ts));
             Expansion::about(&problem, &preview, plan)
         };
         let exact = at(&plan);

@@ -860,7 +860,8 @@ impl Thinker<'_> {
             };
             let (twist, solution) = policy.command(self.solver, &present, aim, aim);
             let is_to_goal = now.guide.ahead == 0 && towards.is_none() && wanted.is_none();
-            let cost = match is_to_goal && settings.nc == 1 && solution.sends(&twist) {
+            let is_counted = is_to_goal && settings.nc == 1 && !task.brakes();
+            let cost = match is_counted && solution.sends(&twist) {
                 // The solver has summed it up already.
                 true => solution.cost,
                 false => policy.running_cost(self.solver, &initial, &twist),

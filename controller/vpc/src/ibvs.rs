@@ -15,16 +15,16 @@ use crate::{Twist, camera, interaction};
 /// noise would decide the twist.
 const LEAST_PIVOT: f64 = 5e-7;
 
-/// The unlimited camera twist of the classic law with the gain `lambda` (1/s), or `None` if the
+/// The unlimited camera twist of the classic law towards `goal`, px, with the gain `lambda` (1/s), or `None` if the
 /// interaction matrix is singular, or nearly so.
 #[expect(
     clippy::indexing_slicing,
     reason = "from_fn gives indices inside the matrix"
 )]
-pub fn twist(task: &Task, initial: &InitialState, lambda: f64) -> Option<Twist> {
+pub fn twist(task: &Task, initial: &InitialState, goal: &[[f64; 2]], lambda: f64) -> Option<Twist> {
     let mut normal = SMatrix::<f64, 6, 6>::zeros();
     let mut right = SVector::<f64, 6>::zeros();
-    for ((&point, &goal), z) in initial.points.iter().zip(&task.goal).zip(initial.depths()) {
+    for ((&point, &goal), z) in initial.points.iter().zip(goal).zip(initial.depths()) {
         let here = camera::normalise(&task.camera, point);
         let there = camera::normalise(&task.camera, goal);
         for (row, (p, q)) in interaction::of_point(here, z)
@@ -80,7 +80,11 @@ mod tests {
             -0.00330862137,
             0.6429081433,
         ];
-        for (found, expected) in twist(&task, &initial, 0.5).unwrap().iter().zip(expected) {
+        for (found, expected) in twist(&task, &initial, &task.goal, 0.5)
+            .unwrap()
+            .iter()
+            .zip(expected)
+        {
             assert!((found - expected).abs() < 1e-6, "{found} {expected}");
         }
     }
@@ -91,7 +95,8 @@ mod tests {
         let seen = |model, height: f64| {
             let [low, high] = [512.0 - 0.5 * height, 512.0 + 0.5 * height];
             let points = [[400.0, low], [600.0, low], [600.0, high], [400.0, high]];
-            twist(&task, &InitialState::new(&task, model, &points.into()), 0.5)
+            let initial = InitialState::new(&task, model, &points.into());
+            twist(&task, &initial, &task.goal, 0.5)
         };
         for model in [Model::TargetDepth, Model::AreaDepth, Model::Pose] {
             assert!(seen(model, 200.0).is_some() && seen(model, 20.0).is_some());

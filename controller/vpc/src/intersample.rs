@@ -1,5 +1,5 @@
 //! Constraints between the sampling instants: the path of the features during the first step of the
-//! window, or until the end of a stop if that takes longer ([`Task::reach`]).
+//! window, or of the first period and a stop if that takes longer ([`Task::brakes`]).
 //!
 //! Features move up to 100 px in a step, further than many an occlusion is wide. Only the first
 //! command of a plan is executed, so only its path is sampled between the steps. A later step is
@@ -82,17 +82,16 @@ impl<'w> Intersample<'w> {
         })
     }
 
-    /// Follows the features under `twist` to where they are at the end of their way, with markers
-    /// of such radii there, and with places in between if it is dense. `false` if a point comes
-    /// behind the camera.
+    /// Follows the features under `twist` to where they are at the end of their way, which takes so
+    /// many seconds, with markers of such radii there, and with places in between if it is dense.
+    /// `false` if a point comes behind the camera.
     #[must_use]
     pub(crate) fn trace(
         &mut self,
         task: &Task,
         initial: &InitialState,
-        twist: &Twist,
-        ends: &[[f64; 2]],
-        radii: &[f64],
+        (twist, seconds): (&Twist, f64),
+        (ends, radii): (&[[f64; 2]], &[f64]),
         is_dense: bool,
     ) -> bool {
         // A depth hardly bends on the way: the greatest radius is that of an end.
@@ -100,9 +99,9 @@ impl<'w> Intersample<'w> {
         let radii = begins.iter().zip(radii).map(|(a, b)| a.max(*b));
         self.radii.iter_mut().zip(radii).for_each(|(to, r)| *to = r);
         // The end of the first step has rows of its own.
-        let is_longer = task.reach > task.ts;
+        let is_longer = task.brakes();
         let mut longest = 0.0_f64;
-        let Some(ways) = ways(task, initial, twist, ends) else {
+        let Some(ways) = ways(task, initial, (twist, seconds), ends) else {
             return false;
         };
         let boxes = self.boxes.iter_mut().zip(&self.radii);
@@ -124,7 +123,7 @@ impl<'w> Intersample<'w> {
         let places = self.places.chunks_exact_mut(self.room).take(self.count);
         places.enumerate().all(|(k, place)| {
             let share = (k + 1) as f64 / stretches;
-            initial.passes(task, twist, share, ends, &self.is_near, place)
+            initial.passes(task, twist, (share, seconds), ends, &self.is_near, place)
         })
     }
 
@@ -193,11 +192,11 @@ struct Way {
 fn ways(
     task: &Task,
     initial: &InitialState,
-    twist: &Twist,
+    (twist, seconds): (&Twist, f64),
     ends: &[[f64; 2]],
 ) -> Option<heapless::Vec<Way, MAX_POINTS>> {
     let [.., x, y, z] = initial.relative(twist);
-    let turn = task.reach * libm::sqrt(x * x + y * y + z * z);
+    let turn = seconds * libm::sqrt(x * x + y * y + z * z);
     let pieces = (libm::ceil(turn / TURN) as usize).clamp(1, MOST_PIECES);
     let mut from = initial.points.clone();
     let nowhere = Way {
@@ -208,8 +207,8 @@ fn ways(
     for piece in 1..=pieces {
         let mut to = [[0.0; 3]; MAX_POINTS];
         let share = piece as f64 / pieces as f64;
-        if piece < pieces && !initial.passes(task, twist, share, ends, &[true; MAX_POINTS], &mut to)
-        {
+        let (at, all) = ((share, seconds), [true; MAX_POINTS]);
+        if piece < pieces && !initial.passes(task, twist, at, ends, &all, &mut to) {
             return None;
         }
         let places = from.iter_mut().zip(to.iter().zip(ends));
@@ -245,8 +244,9 @@ mod tests {
             let points = task.features_at(start).unwrap();
             let initial = InitialState::new(&task, Model::Pose, &points);
             for twist in [[0.5; 6], [0.1, -0.1, 0.3, 0.2, 0.1, 0.4]] {
-                let (ends, radii) = initial.ends(&task, &twist).unwrap();
-                assert!(inside.trace(&task, &initial, &twist, &ends, &radii, true));
+                let (ends, radii) = initial.ends(&task, &twist, task.ts).unwrap();
+                let (twist, ends) = ((&twist, task.ts), (ends.as_slice(), radii.as_slice()));
+                assert!(inside.trace(&task, &initial, twist, ends, true));
                 let near: heapless::Vec<usize, MAX_POINTS> = inside.near().collect();
                 mixed += usize::from(!near.is_empty() && near.len() < points.len());
                 for point in (0..points.len()).filter(|point| !near.contains(point)) {
@@ -261,26 +261,27 @@ mod tests {
 
     #[test]
     fn the_way_of_a_long_turn_is_its_arc() {
-        let mut task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
-        task.reach = 5.0;
+        let task = Task::new(&scene::Scene::parse(scene::PAPER_SIM, "sim").unwrap()).unwrap();
+        let seconds = 5.0;
         let points = task.features_at(&scene::Pose {
             translation: [0.0, 0.0, 1.2],
             rotation: [0.0; 3],
         });
         let initial = InitialState::new(&task, Model::Pose, &points.unwrap());
         for turn in [0.3_f64, 1.0, 3.0, 6.2] {
-            let twist = [0.0, 0.0, 0.0, 0.0, 0.0, turn / task.reach];
-            let (ends, _) = initial.ends(&task, &twist).unwrap();
+            let twist = [0.0, 0.0, 0.0, 0.0, 0.0, turn / seconds];
+            let (ends, _) = initial.ends(&task, &twist, seconds).unwrap();
             let radius = 100.0 * std::f64::consts::SQRT_2;
-            for way in ways(&task, &initial, &twist, &ends).unwrap() {
+            for way in ways(&task, &initial, (&twist, seconds), &ends).unwrap() {
                 assert!((way.length / (radius * turn) - 1.0).abs() < 0.03, "{turn}");
             }
             // No place on the way is outside the boxes.
-            let found = ways(&task, &initial, &twist, &ends).unwrap();
+            let found = ways(&task, &initial, (&twist, seconds), &ends).unwrap();
             for k in 0..=100 {
                 let mut places = [[0.0; 3]; 4];
                 let share = f64::from(k) / 100.0;
-                assert!(initial.passes(&task, &twist, share, &ends, &[true; 4], &mut places));
+                let at = (share, seconds);
+                assert!(initial.passes(&task, &twist, at, &ends, &[true; 4], &mut places));
                 for (
                     [u, v, _],
                     Way {

@@ -896,7 +896,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// The classic law, scaled as a whole into the limits of velocity, its change into those of
     /// acceleration.
     fn servo(&mut self, initial: &InitialState, dampers: Option<&Dampers>, step: &mut Step) {
-        match ibvs::twist(&self.task, initial, self.settings.lambda) {
+        match ibvs::twist(&self.task, initial, &self.task.goal, self.settings.lambda) {
             Some(twist) => {
                 let (task, standing) = (&self.task, &self.state.standing);
                 let twist = limit::scale(&twist, &task.limits);
@@ -1017,11 +1017,7 @@ fn task(scene: &Scene, settings: &Settings) -> Result<Task, SettingsError> {
     let mut task = Task::new(scene)?;
     task.acceleration = settings.acceleration(&scene.limits);
     let stop_s = task.period + task.stop_s(&task.limits);
-    // The window is long enough for a stop.
-    task.ts = settings
-        .step_s
-        .max(task.period)
-        .max(stop_s / settings.np as f64);
+    task.ts = settings.step_s.max(task.period);
     task.reach = task.ts.max(stop_s);
     Ok(task)
 }

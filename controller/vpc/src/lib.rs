@@ -95,6 +95,7 @@ pub mod refine;
 pub mod settings;
 mod size;
 pub mod solver;
+pub mod span;
 mod sqp;
 pub mod state;
 pub mod strategy;

@@ -27,6 +27,7 @@ use nalgebra::Vector3;
 use crate::clearance::Place;
 use crate::motion::{Motion, Own, Sensitivity};
 use crate::pose::{Estimate, Tilt};
+use crate::span::Span;
 use crate::task::Task;
 use crate::workspace::Workspace;
 use crate::{
@@ -227,14 +228,14 @@ impl InitialState {
         }
     }
 
-    /// Where the points are at the end of their way under `twist` ([`Task::reach`]), px, and the
-    /// radii of their markers there; `None` if one comes behind the camera.
-    pub(crate) fn ends(&self, task: &Task, twist: &Twist) -> Option<(Points, Radii)> {
+    /// Where the points are after so many seconds under `twist`, px, and the radii of their markers
+    /// there; `None` if one comes behind the camera.
+    pub(crate) fn ends(&self, task: &Task, twist: &Twist, seconds: f64) -> Option<(Points, Radii)> {
         let camera = &task.camera;
         let twist = &self.relative(twist);
         match &self.geometry {
             Geometry::Positions(points) => {
-                let motion = Motion::of_camera(twist, task.reach);
+                let motion = Motion::of_camera(twist, seconds);
                 let (mut ends, mut radii) = (Points::new(), Radii::new());
                 for x in points.iter().map(|x| motion.apply(x)) {
                     ends.extend([camera::project(camera, x.into())?]);
@@ -246,7 +247,7 @@ impl InitialState {
                 let ends = self.points.iter().zip(depths).map(|(&pixel, &depth)| {
                     let at = camera::normalise(camera, pixel);
                     let (rate, _) = interaction::flow(at, depth, twist);
-                    let end = [at[0] + task.reach * rate[0], at[1] + task.reach * rate[1]];
+                    let end = [at[0] + seconds * rate[0], at[1] + seconds * rate[1]];
                     camera::pixel(camera, end)
                 });
                 Some((ends.collect(), self.radii(task)))
@@ -254,21 +255,21 @@ impl InitialState {
         }
     }
 
-    /// Where the preview has the wanted points after a share of their way under `twist`, which at
-    /// its end are at `ends`: (u, v) and the radius of the marker, px. `false` if one comes behind
-    /// the camera.
+    /// Where the preview has the wanted points after a share of their way under `twist`, which
+    /// takes so many seconds and ends at `ends`: (u, v) and the radius of the marker, px. `false` if
+    /// one comes behind the camera.
     #[must_use]
     pub(crate) fn passes(
         &self,
         task: &Task,
         twist: &Twist,
-        share: f64,
+        (share, seconds): (f64, f64),
         ends: &[[f64; 2]],
         wanted: &[bool],
         out: &mut [[f64; 3]],
     ) -> bool {
         let motion = match &self.geometry {
-            Geometry::Positions(_) => Motion::of_camera(&self.relative(twist), share * task.reach),
+            Geometry::Positions(_) => Motion::of_camera(&self.relative(twist), share * seconds),
             Geometry::Depths(_) => Motion::REST,
         };
         let points = out.iter_mut().zip(wanted).enumerate();
@@ -292,18 +293,18 @@ impl InitialState {
         true
     }
 
-    /// Derivatives of u and v of a point after a share of its way by `twist`, and of the radius of
-    /// its marker.
+    /// Derivatives of u and v of a point after a share of its way by `twist`, which takes so long,
+    /// and of the radius of its marker.
     pub(crate) fn passing_gradient(
         &self,
         task: &Task,
         twist: &Twist,
-        share: f64,
+        (share, span): (f64, &Span),
         point: usize,
     ) -> ([Twist; 2], Twist) {
-        let seconds = share * task.reach;
+        let seconds = share * span.seconds;
         let focal = [task.camera.fx, task.camera.fy];
-        match &self.geometry {
+        let ([mut u, mut v], mut radius) = match &self.geometry {
             Geometry::Positions(points) => {
                 let twist = &self.relative(twist);
                 let x = Motion::of_camera(twist, seconds).apply(&points[point]);
@@ -324,7 +325,12 @@ impl InitialState {
                 // The depths of these models stay as they are over the window.
                 (pixel, [0.0; DOF])
             }
+        };
+        let relative = self.relative(twist);
+        for gradient in [&mut u, &mut v, &mut radius] {
+            span.lengthen(gradient, &relative);
         }
+        ([u, v], radius)
     }
 
     /// One step of a depth model by the midpoint rule.
@@ -504,14 +510,26 @@ impl<'w, const N: usize> Preview<'w, N> {
     /// Predicts the features under `plan`. Returns `false` if a point would come behind the camera:
     /// the caller treats the plan as impossible.
     #[must_use]
-    pub fn linearize(&mut self, task: &Task, initial: &InitialState, plan: &[f64; N]) -> bool {
-        self.predict::<true>(task, initial, plan)
+    pub fn linearize(
+        &mut self,
+        task: &Task,
+        initial: &InitialState,
+        plan: &[f64; N],
+        ts: f64,
+    ) -> bool {
+        self.predict::<true>(task, initial, plan, ts)
     }
 
     /// As [`Preview::linearize`] without derivatives: those of an earlier plan stay behind.
     #[must_use]
-    pub fn evaluate(&mut self, task: &Task, initial: &InitialState, plan: &[f64; N]) -> bool {
-        self.predict::<false>(task, initial, plan)
+    pub fn evaluate(
+        &mut self,
+        task: &Task,
+        initial: &InitialState,
+        plan: &[f64; N],
+        ts: f64,
+    ) -> bool {
+        self.predict::<false>(task, initial, plan, ts)
     }
 
     fn predict<const GRADIENTS: bool>(
@@ -519,14 +537,15 @@ impl<'w, const N: usize> Preview<'w, N> {
         task: &Task,
         initial: &InitialState,
         plan: &[f64; N],
+        ts: f64,
     ) -> bool {
         self.count = initial.points.len().min(self.room);
         match &initial.geometry {
             Geometry::Depths(depths) => {
-                self.move_image_points::<GRADIENTS>(task, initial, depths, plan)
+                self.move_image_points::<GRADIENTS>(task, initial, (depths, ts), plan)
             }
             Geometry::Positions(points) => {
-                self.move_points::<GRADIENTS>(task, initial, points, plan)
+                self.move_points::<GRADIENTS>(task, initial, (points, ts), plan)
             }
         }
     }
@@ -539,10 +558,9 @@ impl<'w, const N: usize> Preview<'w, N> {
         &mut self,
         task: &Task,
         initial: &InitialState,
-        depths: &[f64],
+        (depths, ts): (&[f64], f64),
         plan: &[f64; N],
     ) -> bool {
-        let ts = task.ts;
         let places = initial.points.iter().zip(depths);
         for (i, (&point, &z)) in places.enumerate().take(self.count) {
             let radius = task.radius(z);
@@ -583,16 +601,16 @@ impl<'w, const N: usize> Preview<'w, N> {
         &mut self,
         task: &Task,
         initial: &InitialState,
-        points: &[Vector3<f64>],
+        (points, ts): (&[Vector3<f64>], f64),
         plan: &[f64; N],
     ) -> bool {
         let mut motions = [Motion::REST; crate::MAX_NC];
         let mut sensitivities = [Sensitivity::REST; crate::MAX_NC];
         for block in 0..Self::NC {
             let v = initial.relative(&Self::command(plan, DOF * block));
-            motions[block] = Motion::of_camera(&v, task.ts);
+            motions[block] = Motion::of_camera(&v, ts);
             if GRADIENTS {
-                sensitivities[block] = Sensitivity::of_camera(&v, task.ts);
+                sensitivities[block] = Sensitivity::of_camera(&v, ts);
             }
         }
         for (i, &start) in points.iter().enumerate().take(self.count) {
@@ -679,13 +697,13 @@ mod tests {
         let [mut exact, mut other] = workspaces
             .each_mut()
             .map(|lent| Preview::<N>::new(np, 4, lent).unwrap());
-        assert!(exact.linearize(task, initial, &plan));
+        assert!(exact.linearize(task, initial, &plan, task.ts));
         for k in 0..N {
             let h = 1e-6;
             let mut shifted = |h: f64| {
                 let mut moved = plan;
                 moved[k] += h;
-                assert!(other.evaluate(task, initial, &moved));
+                assert!(other.evaluate(task, initial, &moved, task.ts));
                 other.step(np - 1).to_vec()
             };
             let (plus, minus) = (shifted(h), shifted(-h));
@@ -713,13 +731,13 @@ mod tests {
         let [mut exact, mut other] = workspaces
             .each_mut()
             .map(|lent| Preview::new(5, 4, lent).unwrap());
-        assert!(exact.linearize(&task, &initial, &plan));
+        assert!(exact.linearize(&task, &initial, &plan, task.ts));
         let mut most: f64 = 0.0;
         for k in 0..18 {
             let mut radii = |h: f64| {
                 let mut moved = plan;
                 moved[k] += h;
-                assert!(other.evaluate(&task, &initial, &moved));
+                assert!(other.evaluate(&task, &initial, &moved, task.ts));
                 other.radii(4).to_vec()
             };
             let (plus, minus) = (radii(1e-6), radii(-1e-6));
@@ -730,26 +748,60 @@ mod tests {
             }
         }
         assert!(most > 1.0, "{most}");
-        // On the way of the first command, and at its end.
+        // At the end of the first step.
         let twist: Twist = core::array::from_fn(|k| plan[k]);
-        let mut places = [[0.0; 3]; 4];
-        let mut radius = |twist: &Twist| {
-            assert!(initial.passes(&task, twist, 0.4, &[], &[true; 4], &mut places));
-            places.map(|[_, _, radius]| radius)
-        };
-        for k in 0..DOF {
-            let moved = |h: f64| core::array::from_fn(|i| twist[i] + if i == k { h } else { 0.0 });
-            let (plus, minus) = (radius(&moved(1e-6)), radius(&moved(-1e-6)));
-            for i in 0..4 {
-                let (_, growth) = initial.passing_gradient(&task, &twist, 0.4, i);
-                let numeric = (plus[i] - minus[i]) / 2e-6;
-                assert!((numeric - growth[k]).abs() < 1e-6 * (1.0 + numeric.abs()));
-            }
-        }
-        let (_, ends) = initial.ends(&task, &twist).unwrap();
-        assert!(exact.evaluate(&task, &initial, &plan));
+        let (_, ends) = initial.ends(&task, &twist, task.ts).unwrap();
+        assert!(exact.evaluate(&task, &initial, &plan, task.ts));
         for (a, b) in ends.iter().zip(exact.radii(0)) {
             assert!((a - b).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn the_gradients_on_the_way_of_a_command_count_that_it_takes_longer() {
+        let mut task = task();
+        task.half_diagonal = 20.0;
+        let measured = points(&task);
+        let drift = Own {
+            twist: [0.05, 0.1, -0.1, 0.2, 0.0, 0.1],
+            ..Own::NONE
+        };
+        let twist: Twist = core::array::from_fn(|k| 0.3 * libm::sin(1.0 + k as f64));
+        let slope = [0.3, -0.2, 0.0, 0.1, 0.4, 0.0];
+        for (model, slope) in [
+            (Model::TargetDepth, slope),
+            (Model::Pose, [0.0; DOF]),
+            (Model::Pose, slope),
+        ] {
+            let initial = InitialState::new(&task, model, &measured).with_drift(drift);
+            let seconds = |v: &Twist| 0.5 + v.iter().zip(slope).map(|(v, s)| v * s).sum::<f64>();
+            let place = |v: &Twist| {
+                let (ends, _) = initial.ends(&task, v, seconds(v)).unwrap();
+                let (at, mut places) = ((0.4, seconds(v)), [[0.0; 3]; 4]);
+                assert!(initial.passes(&task, v, at, &ends, &[true; 4], &mut places));
+                places
+            };
+            let span = Span {
+                seconds: seconds(&twist),
+                slope,
+            };
+            for k in 0..DOF {
+                let moved = |h: f64| {
+                    let mut moved = twist;
+                    moved[k] += h;
+                    place(&moved)
+                };
+                let (plus, minus) = (moved(1e-6), moved(-1e-6));
+                for i in 0..4 {
+                    let (pixel, growth) = initial.passing_gradient(&task, &twist, (0.4, &span), i);
+                    let exact = [pixel[0][k], pixel[1][k], growth[k]];
+                    for (c, exact) in exact.into_iter().enumerate() {
+                        let numeric = (plus[i][c] - minus[i][c]) / 2e-6;
+                        let is_near = (numeric - exact).abs() < 1e-6 * (1.0 + numeric.abs());
+                        assert!(is_near, "{model:?} {k} {i} {c}: {numeric} {exact}");
+                    }
+                }
+            }
         }
     }
 
@@ -765,7 +817,7 @@ mod tests {
         let v = [0.2, -0.1, 0.3, 0.4, -0.5, 0.9];
         let mut workspace = vec![0.0; Preview::<6>::room(20, 4)];
         let mut preview = Preview::<6>::new(20, 4, &mut workspace).unwrap();
-        assert!(preview.linearize(&task, &initial, &v));
+        assert!(preview.linearize(&task, &initial, &v, task.ts));
         let motion = Motion::of_camera(&v, 20.0 * task.ts);
         let rotation = crate::motion::rotation(start.rotation);
         for (i, p) in task.pattern.iter().enumerate() {

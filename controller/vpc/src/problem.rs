@@ -5,6 +5,7 @@
 use ::arm::Dampers;
 
 use crate::prediction::{InitialState, Plan, repeated};
+use crate::span::Span;
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, arm};
 
@@ -36,6 +37,8 @@ pub struct Problem<'a> {
     pub standing: Twist,
     /// Time from one command to the next, s.
     pub interval: f64,
+    /// Ts: length of a step of the window, s.
+    pub ts: f64,
     /// Extra clearance kept from every border by each point with its marker, px.
     pub margin: f64,
     /// What the arm allows, where it is known, and what a posture that it goes to wants.
@@ -89,13 +92,46 @@ impl Problem<'_> {
         let [limit, most, standing] = [&task.limits, &task.acceleration, &self.standing]
             .map(|each| each.get(k % DOF).copied().unwrap_or(0.0));
         let standing = standing.clamp(-limit, limit);
-        let seconds = self.interval + (k / DOF) as f64 * task.ts;
+        let seconds = self.interval + (k / DOF) as f64 * self.ts;
         let change = self.ramps() * most * seconds;
         let limit = limit.min((self.ramps() * limit).max(standing.abs() - change));
         [
             (standing - change).max(-limit),
             (standing + change).min(limit),
         ]
+    }
+
+    /// Time in which a command brakes, after which the camera rests against the pattern.
+    fn braked(&self, twist: &Twist) -> Span {
+        let with = arm::within(self.dampers, &self.initial.drift.twist);
+        let mut relative = *twist;
+        let pairs = relative.iter_mut().zip(with);
+        pairs.for_each(|(v, with)| *v -= with);
+        let stop = self.task.stop(&relative);
+        let seconds = stop.seconds / self.ramps();
+        let longest_s = self.task.stop_s(&self.task.limits);
+        match seconds < longest_s {
+            true => Span {
+                seconds,
+                slope: stop.slope.map(|slope| slope / self.ramps()),
+            },
+            false => Span::fixed(longest_s),
+        }
+    }
+
+    /// The time for which the path of a command is checked: a step, or T + t_v / 2, in which the
+    /// camera would go as far, were the command held, as it does in a period and while it brakes
+    /// then; for it slows down evenly, and keeps to its path.
+    pub(crate) fn way(&self, twist: &Twist) -> Span {
+        let fixed = Span::fixed(self.task.ts);
+        if !self.task.brakes() {
+            return fixed;
+        }
+        let Span { seconds, slope } = self.braked(twist);
+        fixed.max(Span {
+            seconds: self.interval + 0.5 * seconds,
+            slope: slope.map(|slope| 0.5 * slope),
+        })
     }
 
     /// Share of the limits of acceleration that the arm has room for.

@@ -84,8 +84,8 @@ settings! {
         #[default(3)]
         #[allowed(1 to 40)]
         pub np: usize,
-        /// Length of a step; longer where the camera's period and a stop from the limits take
-        /// longer. Flag of `cargo table`: --step-s.
+        /// Length of a step; longer for slower cameras and, far from the target, for slow stops. Flag
+        /// of `cargo table`: --step-s.
         #[default(0.033)]
         #[allowed(0.001 to 10, "s")]
         pub step_s: f64,

@@ -169,7 +169,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
     pub(crate) fn evaluate(&mut self, problem: &Problem<'_>, plan: &Plan) -> Option<f64> {
         let plan = head(plan);
         self.count(self.prices.evaluation);
-        let possible = self.preview.evaluate(problem.task, problem.initial, &plan);
+        let possible = (self.preview).evaluate(problem.task, problem.initial, &plan, problem.ts);
         possible.then(|| cost::value(problem, &self.preview, &plan))
     }
 
@@ -179,7 +179,8 @@ impl<'w, const N: usize> Sqp<'w, N> {
     pub(crate) fn is_clear(&mut self, problem: &Problem<'_>, plan: &Plan, slack: f64) -> bool {
         let (task, initial, plan) = (problem.task, problem.initial, head(plan));
         self.count(self.prices.evaluation);
-        if !self.preview.evaluate(task, initial, &plan) || !self.trace(problem, &plan) {
+        let is_possible = self.preview.evaluate(task, initial, &plan, problem.ts);
+        if !is_possible || !self.trace(problem, &plan) {
             return false;
         }
         let depth = |at: Place| constraint::violation(task, at.pixel, problem.margin + at.radius);
@@ -196,7 +197,8 @@ impl<'w, const N: usize> Sqp<'w, N> {
         let (mut is_clear, mut sums, mut worst) = (true, [0.0; 2], [0.0_f64; 2]);
         for (i, (begin, end)) in begins.zip(self.preview.places(0)).enumerate() {
             let inside = self.inside.violation(task, i, problem.margin);
-            let (before, after) = (depth(begin), depth(end).max(inside));
+            let end = if task.brakes() { 0.0 } else { depth(end) };
+            let (before, after) = (depth(begin), end.max(inside));
             is_clear &= after <= before.max(slack);
             sums = [sums[0] + before, sums[1] + after];
             worst = [worst[0].max(before), worst[1].max(after)];
@@ -208,16 +210,16 @@ impl<'w, const N: usize> Sqp<'w, N> {
     fn trace(&mut self, problem: &Problem<'_>, plan: &[f64; N]) -> bool {
         let (task, initial, twist) = (problem.task, problem.initial, first_command(plan));
         let is_dense = self.options.intersample;
-        if task.reach == task.ts {
-            let (ends, radii) = (self.preview.step(0), self.preview.radii(0));
-            let inside = &mut self.inside;
-            return inside.trace(task, initial, &twist, ends, radii, is_dense);
+        let seconds = problem.way(&twist).seconds;
+        let (twist, inside) = ((&twist, seconds), &mut self.inside);
+        if !task.brakes() {
+            let ends = (self.preview.step(0), self.preview.radii(0));
+            return inside.trace(task, initial, twist, ends, is_dense);
         }
-        let Some((ends, radii)) = initial.ends(task, &twist) else {
+        let Some((ends, radii)) = initial.ends(task, twist.0, seconds) else {
             return false;
         };
-        let inside = &mut self.inside;
-        inside.trace(task, initial, &twist, &ends, &radii, is_dense)
+        inside.trace(task, initial, twist, (&ends, &radii), is_dense)
     }
 
     /// Solves the problem from the warm start `warm` with so much work at most.
@@ -354,12 +356,14 @@ impl<'w, const N: usize> Sqp<'w, N> {
             }
         }
         let command = first_command(plan);
+        let way = problem.way(&command);
         for i in inside.near() {
             for (index, border) in inside.borders(task, i, margin + NEAR_PX) {
                 let Some((share, clearance)) = inside.deepest(i, border) else {
                     continue;
                 };
-                let (slope, growth) = problem.initial.passing_gradient(task, &command, share, i);
+                let (slope, growth) =
+                    (problem.initial).passing_gradient(task, &command, (share, &way), i);
                 let mut first = clearance.along(&slope);
                 if task.has_markers() {
                     reduce(&mut first, &growth);
@@ -503,7 +507,8 @@ impl<'w, const N: usize> Sqp<'w, N> {
     /// impossible.
     fn outcome(&mut self, problem: &Problem<'_>, plan: [f64; N]) -> Option<Iterate<N>> {
         self.count(self.prices.evaluation);
-        if !self.preview.linearize(problem.task, problem.initial, &plan) {
+        let Problem { task, initial, .. } = *problem;
+        if !self.preview.linearize(task, initial, &plan, problem.ts) {
             return None;
         }
         if !self.trace(problem, &plan) {
@@ -516,7 +521,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
             total: 0.0,
             worst: 0.0,
         };
-        let (task, margin) = (problem.task, problem.margin);
+        let margin = problem.margin;
         let mut count = |violation: f64| {
             outcome.total += violation;
             outcome.worst = outcome.worst.max(violation);

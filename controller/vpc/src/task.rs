@@ -9,6 +9,7 @@ use scene::{Area, Camera, Cost, MAX_AREAS, Part, Pose, Scene};
 
 use crate::features::{self, Points};
 use crate::obstacle::Obstacle;
+use crate::span::Span;
 use crate::{MAX_POINTS, Twist, camera, motion};
 
 /// Most parts of all occlusions together.
@@ -43,10 +44,10 @@ pub struct Task {
     pub areas: heapless::Vec<Area, MAX_AREAS>,
     /// Time between two cycles, s.
     pub period: f64,
-    /// Length of a step of the preview, s: the period, or longer.
+    /// Least length of a step of the preview, s: the period, or longer.
     pub ts: f64,
-    /// Time for which the path of the first command is checked, s: a step, or a period and a stop
-    /// from the limits. After a command that is clear for this time, braking is clear, too.
+    /// A step, or a period and a stop from the limits if that takes longer, s. After a command that
+    /// is clear for this time, braking is clear, too.
     pub reach: f64,
     /// h: half the diagonal of a marker's square at a depth of 1 m, px m; 0 where markers are
     /// points.
@@ -196,6 +197,27 @@ impl Task {
     pub fn stop_s(&self, twist: &Twist) -> f64 {
         let each = twist.iter().zip(self.acceleration);
         each.map(|(v, most)| v.abs() / most).fold(0.0, f64::max)
+    }
+
+    /// Whether a stop from the limits takes longer than a step of the preview.
+    pub(crate) fn brakes(&self) -> bool {
+        self.reach > self.ts
+    }
+
+    /// [`Task::stop_s`] with its derivatives.
+    pub(crate) fn stop(&self, twist: &Twist) -> Span {
+        let mut stop = Span::fixed(0.0);
+        let each = twist.iter().zip(self.acceleration).enumerate();
+        for (k, (v, most)) in each {
+            let seconds = v.abs() / most;
+            if seconds > stop.seconds {
+                stop = Span::fixed(seconds);
+                if let Some(slope) = stop.slope.get_mut(k) {
+                    *slope = v.signum() / most;
+                }
+            }
+        }
+        stop
     }
 
     /// What the arm allows with its joints at `q` of a command in force for `seconds`, on the way

@@ -2,9 +2,11 @@
 //! before a feature is lost.
 
 use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 use scene::{Limits, Pose, Scene};
 use vpc::motion::Motion;
-use vpc::{Law, Measurement, Settings, Strategy, Task, Twist, camera, constraint, task};
+use vpc::{Law, Measurement, Settings, Strategy, Task, Twist, camera, constraint, features, task};
 
 const ACCELERATION: Limits = Limits {
     linear: 0.5,
@@ -25,6 +27,8 @@ struct Seen {
     /// Deepest point while the camera is braked, from any cycle of the run, px.
     deepest_px: f64,
     arrived: bool,
+    /// Cycles until then.
+    cycles: Option<u32>,
 }
 
 /// The depth of the deepest point, px; `None` where one is behind the camera.
@@ -81,9 +85,105 @@ fn run(law: &Scene, judge: &Task, start: &Pose, strategy: Strategy) -> Seen {
                 seen.deepest_px = seen.deepest_px.max(depth);
             }
         }
-        seen.arrived |= step.error_px < law.success.convergence_px;
+        if step.error_px < law.success.convergence_px {
+            seen.arrived = true;
+            seen.cycles.get_or_insert(k as u32);
+        }
     }
     seen
+}
+
+/// Stops at a random instant, also between two commands, and slows down evenly then: the depth of
+/// the deepest point, px, or `None` if the camera had arrived before.
+fn stopped(law: &Scene, judge: &Task, start: &Pose, random: &mut ChaCha8Rng) -> Option<f64> {
+    let settings = Settings {
+        strategy: Strategy::Foresight,
+        ..Settings::default()
+    };
+    let mut controller = Law::new(law, settings, |len| vec![0.0; len]).unwrap();
+    let mut points: Vec<_> = task::placed(&law.pattern, start).collect();
+    let period = law.sampling_time();
+    let stop_s: f64 = random.random_range(0.0..2.0);
+    for k in 0.. {
+        let pixels: Vec<_> = points
+            .iter()
+            .map(|x| camera::project(&judge.camera, (*x).into()).unwrap())
+            .collect();
+        if features::largest_error(&pixels, &judge.goal) < law.success.convergence_px {
+            return None;
+        }
+        let begin_s = f64::from(k) * period;
+        let now_ns = (begin_s * 1e9).round() as u64;
+        let measured = Measurement::from_points(&pixels).taken(now_ns, now_ns);
+        let twist = controller.step(&measured, None).unwrap().twist;
+        controller.sent(&twist, now_ns);
+        controller.think(None);
+        let before_s = (stop_s - begin_s).min(period);
+        let brakes_s = judge.stop_s(&twist);
+        if before_s == period || brakes_s == 0.0 {
+            points = moved(&points, &twist, period);
+            continue;
+        }
+        let depth = |x: f64| {
+            // x: the time since the command, s; how far it has gone, in seconds of the command.
+            let braked_s = (x - before_s).clamp(0.0, brakes_s);
+            let held_s = x.min(before_s) + braked_s * (1.0 - 0.5 * braked_s / brakes_s);
+            depth(judge, &moved(&points, &twist, held_s)).unwrap_or(f64::INFINITY)
+        };
+        let instants = (0..=1000).map(|i| f64::from(i) / 1000.0 * (before_s + brakes_s));
+        return Some(instants.map(depth).fold(0.0, f64::max));
+    }
+    None
+}
+
+#[test]
+fn no_point_is_lost_by_a_stop_at_a_random_instant() {
+    let mut scene = Scene::parse(scene::PAPER_SIM, "paper-sim").unwrap();
+    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(35);
+    let every = std::env::var_os("VPC_LONG").map_or(10, |_| 1);
+    let (mut stops, mut deepest_px) = (0, 0.0_f64);
+    for share in [0.25, 0.4, 0.6, 1.0] {
+        scene.limits = ACCELERATION;
+        scene.limits.linear_acceleration = Some(share * 2.0);
+        scene.limits.angular_acceleration = Some(share * 4.0);
+        let judge = Task::new(&scene).unwrap();
+        for start in starts.iter().step_by(every) {
+            if let Some(depth_px) = stopped(&scene, &judge, start, &mut random) {
+                assert!(depth_px < DEEPEST_PX, "{share} {start:?}: {depth_px}");
+                (stops, deepest_px) = (stops + 1, deepest_px.max(depth_px));
+            }
+        }
+    }
+    println!("{stops} stops, deepest {deepest_px:.2} px");
+    assert!(stops >= 300 / every, "{stops}");
+}
+
+/// Cycles until the features arrive, on average.
+fn cycles(scene: &Scene, starts: &[Pose]) -> f64 {
+    let judge = Task::new(scene).unwrap();
+    let all = starts.iter().step_by(10).map(|start| {
+        let seen = run(scene, &judge, start, Strategy::Foresight);
+        f64::from(seen.cycles.expect("it arrives"))
+    });
+    let all: Vec<f64> = all.collect();
+    all.iter().sum::<f64>() / all.len() as f64
+}
+
+#[test]
+fn ramps_cost_no_more_than_their_time() {
+    let mut scene = Scene::parse(scene::PAPER_SIM, "paper-sim").unwrap();
+    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    let unlimited = cycles(&scene, &starts);
+    scene.limits = Limits {
+        linear_acceleration: Some(0.5),
+        angular_acceleration: Some(1.0),
+        ..ACCELERATION
+    };
+    let limited = cycles(&scene, &starts);
+    // From rest to the limits takes a second, and so does the stop.
+    let most = 1.3 * unlimited + 2.0 * scene.camera.rate_hz;
+    assert!(limited < most, "{limited} {unlimited}");
 }
 
 #[test]

@@ -164,10 +164,15 @@ fn runs_from(trial: &Trial, count: usize) -> Vec<Run> {
     starts.map(|start| run(trial, start)).collect()
 }
 
+/// Cycles until the arrival; those of the whole run where there is none, as from a hard start
+/// without a memory, of which there may be one.
 fn mean_cycles(runs: &[Run]) -> f64 {
+    let late = runs.iter().filter(|run| run.cycles.is_none()).count();
+    assert!(late <= 1, "{late} of {}", runs.len());
     let mut mean = Mean::default();
+    let all = SECONDS * World::new(&starts()[0]).scene.camera.rate_hz;
     runs.iter()
-        .for_each(|run| mean.add(run.cycles.unwrap() as f64));
+        .for_each(|run| mean.add(run.cycles.map_or(all, |cycles| cycles as f64)));
     mean.get()
 }
 

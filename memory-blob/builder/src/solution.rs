@@ -96,6 +96,7 @@ impl<'a> Finder<'a> {
             change_share: 0.0,
             standing: [0.0; 6],
             interval: f64::INFINITY,
+            ts: self.task.ts,
             margin: 0.0,
             dampers: None,
             wanted: None,

@@ -101,7 +101,10 @@ impl<'a> Nlp<'a> {
 
 impl Seen {
     fn look(&mut self, case: &Case, unit: f64, twist: Twist) {
-        assert!(self.preview.linearize(&case.task, &case.initial, &twist));
+        assert!(
+            self.preview
+                .linearize(&case.task, &case.initial, &twist, case.task.ts)
+        );
         let weights = &case.task.cost;
         let commands = (case.np - 1) as f64;
         self.cost = cost::value(&case.problem(), &self.preview, &twist) / unit;

@@ -112,6 +112,7 @@ impl Case {
             change_share: 0.0,
             standing: [0.0; 6],
             interval: self.task.ts,
+            ts: self.task.ts,
             margin: 0.0,
             dampers: None,
             wanted: None,
@@ -148,7 +149,7 @@ impl Case {
         let points = self.initial.points.len();
         let mut workspace = vec![0.0; Preview::<DOF>::room(self.np, points)];
         let mut preview = Preview::<DOF>::new(self.np, points, &mut workspace).unwrap();
-        assert!(preview.evaluate(&self.task, &self.initial, twist));
+        assert!(preview.evaluate(&self.task, &self.initial, twist, self.task.ts));
         let worst = (0..self.np)
             .flat_map(|j| preview.step(j))
             .map(|&pixel| constraint::violation(&self.task, pixel, 0.0))
