@@ -61,7 +61,7 @@ const PROMISING: f64 = 2.0;
 /// Clearance of a draft beside the law's, px, and for each second by which features are older than
 /// the command that answers them: an arm that is slower than told is elsewhere by then.
 const SPARE_PX: f64 = 0.2;
-const SPARE_PX_S: f64 = 40.0;
+const SPARE_PX_S: f64 = 100.0;
 /// Steps of a draft beside those in which the incumbent arrives.
 const TAIL: usize = 5;
 /// A candidate that does not arrive replaces another such one if its error is below this share of
