@@ -563,12 +563,12 @@ typedef struct {
     vpc_stamp stamp;
     // The cycle that follows.
     uint64_t cycle;
-    // Bytes in state. 0 to 36864.
+    // Bytes in state. 0 to 49152.
     uint32_t length;
     // Version of the encoding of state.
     uint32_t version;
     // The state, encoded by the controller; zero past length.
-    uint8_t state[36864];
+    uint8_t state[49152];
 } vpc_snapshot;
 
 // An operator's request. Several operators may be at work. Service `vpc/requests`.
@@ -997,7 +997,7 @@ static_assert(offsetof(vpc_cycle_record, predicted) == 1892, "vpc_cycle_record.p
 static_assert(offsetof(vpc_cycle_record, arm_bound) == 1896, "vpc_cycle_record.arm_bound");
 static_assert(offsetof(vpc_cycle_record, arm_bound_index) == 1900, "vpc_cycle_record.arm_bound_index");
 static_assert(offsetof(vpc_cycle_record, elbow) == 1904, "vpc_cycle_record.elbow");
-static_assert(sizeof(vpc_snapshot) == 36904, "vpc_snapshot");
+static_assert(sizeof(vpc_snapshot) == 49192, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");
 static_assert(offsetof(vpc_snapshot, length) == 32, "vpc_snapshot.length");

@@ -697,12 +697,12 @@ class Snapshot(Message):
         ("stamp", Stamp),
         # The cycle that follows.
         ("cycle", ctypes.c_uint64),
-        # Bytes in `state`. 0 to 36864.
+        # Bytes in `state`. 0 to 49152.
         ("length", ctypes.c_uint32),
         # Version of the encoding of `state`.
         ("version", ctypes.c_uint32),
         # The state, encoded by the controller; zero past `length`.
-        ("state", ctypes.c_uint8 * 36864),
+        ("state", ctypes.c_uint8 * 49152),
     ]
 
     if TYPE_CHECKING:
@@ -714,7 +714,7 @@ class Snapshot(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Snapshot/587d3a7b"
+        return "vpc/Snapshot/938b8fab"
 
 
 class Request(Message):
@@ -877,7 +877,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "elbow": "",
     },
     Snapshot: {
-        "length": (0, 36864),
+        "length": (0, 49152),
     },
     Request: {
         "action": Action,
