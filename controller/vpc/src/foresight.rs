@@ -455,7 +455,10 @@ impl Thinker<'_> {
             if let Outcome::Arrives { steps, .. } = best.outcome {
                 course.steps = COMMANDS.min(steps.max(0.0) as usize + TAIL);
             }
-            let Some(refiner) = &mut self.refiner else {
+            let done = self.done();
+            let fits =
+                |refiner: &&mut Refiner<'_>| done + refiner.most(course.steps) <= self.most_work;
+            let Some(refiner) = self.refiner.as_mut().filter(fits) else {
                 return;
             };
             match self.draft.refine(refiner, &course) {

@@ -81,6 +81,12 @@ impl<'w> Refiner<'w> {
         })
     }
 
+    /// Most work of a pass over so many steps.
+    pub fn most(&self, steps: usize) -> u64 {
+        let forward = (1 + SHARES.len()) as u64 * u64::from(self.prices.forward);
+        steps as u64 * (forward + u64::from(self.prices.backward))
+    }
+
     /// One pass: the worth of the way after it, and whether that fell. `None` where the way brings
     /// a point behind the camera.
     pub fn pass(&mut self, course: &Course<'_>, way: &mut [Twist]) -> Option<(Worth, bool)> {
