@@ -15,8 +15,8 @@ use crate::{Twist, camera, interaction};
 /// noise would decide the twist.
 const LEAST_PIVOT: f64 = 5e-7;
 
-/// The unlimited camera twist of the classic law towards `goal`, px, with the gain `lambda` (1/s), or `None` if the
-/// interaction matrix is singular, or nearly so.
+/// The unlimited camera twist of the classic law towards `goal`, px, with the gain `lambda` (1/s),
+/// or `None` if the interaction matrix is singular, or nearly so.
 #[expect(
     clippy::indexing_slicing,
     reason = "from_fn gives indices inside the matrix"
