@@ -176,14 +176,6 @@ fn mean_cycles(runs: &[Run]) -> f64 {
     mean.get()
 }
 
-/// The same in the median.
-fn median_cycles(runs: &[Run]) -> f64 {
-    let cycles = runs.iter().map(|run| run.cycles.unwrap_or(usize::MAX));
-    let mut cycles = Vec::from_iter(cycles);
-    cycles.sort_unstable();
-    (cycles[(runs.len() - 1) / 2] + cycles[runs.len() / 2]) as f64 / 2.0
-}
-
 #[test]
 fn a_pattern_that_moves_is_followed() {
     let motions: [Own; 4] = [
@@ -226,7 +218,7 @@ fn a_circle_is_followed_to_two_millimetres() {
 }
 
 #[test]
-fn a_pattern_at_rest_costs_nothing() {
+fn a_pattern_at_rest_costs_little() {
     let of = |drift_compensation| {
         let trial = Trial {
             drift_compensation,
@@ -235,9 +227,9 @@ fn a_pattern_at_rest_costs_nothing() {
         runs_from(&trial, 60)
     };
     let (with, without) = (of(true), of(false));
-    // Not the mean: one hard start that finds its way later counts more than all others together.
-    let (with_s, without_s) = (median_cycles(&with), median_cycles(&without));
-    assert!(with_s < 1.02 * without_s, "{with_s} instead of {without_s}");
+    // Until the pattern is known to be at rest, ways keep farther from borders.
+    let (with_s, without_s) = (mean_cycles(&with), mean_cycles(&without));
+    assert!(with_s < 1.06 * without_s, "{with_s} instead of {without_s}");
     assert!(
         with.iter()
             .all(|run| run.change < 0.008 && run.error_px < 0.1),
