@@ -6,7 +6,7 @@
 //! | T_k | `state` | the pattern in the camera frame before step k |
 //! | v_k | `command` | the camera's velocity against the pattern in step k |
 //! | T_k+1 = exp(-Ts v_k) T_k | [`Motion`] | the model |
-//! | l(T_k, v_k) / Np | [`Course::step`] | the running cost by which futures are compared |
+//! | l(T_k, v_k) / Np | `Course::step` | the running cost by which futures are compared |
 //! | c | `clearance` | clearance of a marker from a border, px |
 //! | b(c) = mu (c / B - 1 - ln(c / B)) | [`Barrier`] | what it costs, below B |
 //!

@@ -93,12 +93,10 @@ impl Draft {
 
     /// Begins the next one with the pattern at `start`; the commands, to make a first guess in.
     pub(crate) fn begin(&mut self, start: &Motion, is_clear: bool) -> &mut [Twist] {
-        *self = Self {
-            way: self.way.next(),
-            start: start.into(),
-            barrier: if is_clear { CLOSE } else { SOFT },
-            ..Self::NONE
-        };
+        self.way.renew();
+        (self.passes, self.start, self.since) = (0, start.into(), 0.0);
+        self.barrier = if is_clear { CLOSE } else { SOFT };
+        (self.merit, self.damping) = (f64::INFINITY, 0.0);
         self.way.commands_mut()
     }
 

@@ -26,7 +26,7 @@ use crate::settings::{Settings, SettingsError};
 use crate::solver::{Size, Solver};
 use crate::state::State;
 use crate::strategy::Strategy;
-use crate::task::Task;
+use crate::task::{Task, TaskError};
 use crate::work::Prices;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit};
 
@@ -151,7 +151,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             off_image_px: scene.success.violation_px,
             converged_px: scene.success.convergence_px,
             workspace,
-            state: State::new(settings.strategy),
+            // A constant, for a small stack; the strategy in use is that of the settings.
+            state: const { State::new(Strategy::Foresight) },
             settings,
             root: None,
             spent: 0.0,
@@ -437,6 +438,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             self.skip_mismatch();
             self.state.previous = [0.0; MAX_VARIABLES];
         })?;
+        self.think_first(&initial, memory);
         Ok(self.answer(initial, mismatch.as_ref(), is_linked, memory))
     }
 
@@ -455,6 +457,17 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         // The next image is compared with the last one.
         self.skip_mismatch();
         Some(step)
+    }
+
+    /// Thinks before the first command of a run, which has no earlier thought to follow.
+    fn think_first(&mut self, initial: &InitialState, memory: Option<&dyn MotionMemory>) {
+        let is_foresight = self.settings.strategy == Strategy::Foresight;
+        if is_foresight && self.state.foresight.drafted == 0 {
+            self.spent = 0.0;
+            self.root = Some(initial.clone());
+            self.think(memory);
+            self.has_thought = true;
+        }
     }
 
     /// The command in answer to where the features are.
@@ -478,14 +491,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             _ => self.task.period,
         };
         let is_foresight = self.settings.strategy == Strategy::Foresight;
-        if is_foresight && self.state.foresight.drafted == 0 {
-            // The first command of a run follows a thought, too, which comes before it.
-            self.spent = 0.0;
-            self.root = Some(initial.clone());
-            self.think(memory);
-            self.has_thought = true;
-        }
-        let points = &initial.points;
         let guide = Some(&self.state.foresight.guide).filter(|_| is_foresight);
         let towards = guide.and_then(|guide| guide.posture(&self.state.path));
         let dampers = self.task.dampers(initial.q.as_ref(), seconds, towards);
@@ -1013,13 +1018,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
 }
 
 /// The task of a scene under these settings.
-fn task(scene: &Scene, settings: &Settings) -> Result<Task, SettingsError> {
-    let mut task = Task::new(scene)?;
-    task.acceleration = settings.acceleration(&scene.limits);
-    let stop_s = task.period + task.stop_s(&task.limits);
-    task.ts = settings.step_s.max(task.period);
-    task.reach = task.ts.max(stop_s);
-    Ok(task)
+fn task(scene: &Scene, settings: &Settings) -> Result<Task, TaskError> {
+    let mut found = Task::new(scene);
+    // In its place: nothing is optimized where the stack is smallest.
+    if let Ok(task) = &mut found {
+        task.acceleration = settings.acceleration(&scene.limits);
+        let stop_s = task.period + task.stop_s(&task.limits);
+        task.ts = settings.step_s.max(task.period);
+        task.reach = task.ts.max(stop_s);
+    }
+    found
 }
 
 /// What the law may do in a period, in counted [work](crate::work).

@@ -13,7 +13,7 @@
 
 use nalgebra::{Cholesky, Matrix3, Matrix6, Vector3, Vector6};
 
-use crate::course::{Course, Stage, Worth};
+use crate::course::{Course, Quadratic, Stage, Worth};
 use crate::motion::Motion;
 use crate::size::Size;
 use crate::way::COMMANDS;
@@ -153,20 +153,29 @@ impl<'w> Refiner<'w> {
                 stage.command[(i, i)] += course.damping * stage.command[(i, i)] + floor;
             }
             let (change, feedback) = correction(&stage, command, &course.bounds)?;
-            let pull = stage.command * change + stage.of_command;
-            promised -= 0.5 * change.dot(&(pull + stage.of_command));
-            to_go.slope =
-                stage.of_pose + feedback.transpose() * pull + stage.mixed.transpose() * change;
-            let curvature = stage.pose
-                + feedback.transpose() * (stage.command * feedback + stage.mixed)
-                + stage.mixed.transpose() * feedback;
-            to_go.curvature = (curvature + curvature.transpose()) * 0.5;
+            promised += before(&stage, &change, &feedback, &mut to_go);
             let (to, gain) = self.gains[k].split_at_mut(DOF);
             to.copy_from_slice(change.as_slice());
             gain.copy_from_slice(feedback.as_slice());
         }
         Some(promised)
     }
+}
+
+/// Makes the cost to go that before a step with this correction and feedback; the decrease by them.
+fn before(
+    stage: &Stage,
+    change: &Vector6<f64>,
+    feedback: &Matrix6<f64>,
+    to_go: &mut Quadratic,
+) -> f64 {
+    let pull = stage.command * change + stage.of_command;
+    to_go.slope = stage.of_pose + feedback.transpose() * pull + stage.mixed.transpose() * change;
+    let curvature = stage.pose
+        + feedback.transpose() * (stage.command * feedback + stage.mixed)
+        + stage.mixed.transpose() * feedback;
+    to_go.curvature = (curvature + curvature.transpose()) * 0.5;
+    -0.5 * change.dot(&(pull + stage.of_command))
 }
 
 /// The correction of a command that is best inside its bounds, by projected Newton steps, and the

@@ -33,12 +33,10 @@ impl Way {
         commands: [[[0.0; DOF]; HALF]; 2],
     };
 
-    /// The next way, with commands of zero.
-    pub(crate) fn next(&self) -> Self {
-        Self {
-            number: self.number.wrapping_add(1).max(1),
-            ..Self::NONE
-        }
+    /// Becomes the next way, with commands of zero.
+    pub(crate) fn renew(&mut self) {
+        self.number = self.number.wrapping_add(1).max(1);
+        self.commands_mut().fill([0.0; DOF]);
     }
 
     /// The commands.
