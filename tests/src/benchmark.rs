@@ -37,8 +37,8 @@ const METHODS: [(&str, &Environment, &str); 8] = [
     ("FDDP-memory", &PEERS, "fddp.py --memory MEMORY"),
 ];
 
-/// The peers, with this memory of motion for the one that takes it. A peer whose packages cannot
-/// be installed is left out, after [`testkit::not_run`].
+/// The peers, with this memory of motion for the one that takes it. If packages of a peer cannot be
+/// installed, it is left out, after [`testkit::not_run`].
 pub fn methods(memory: &Path) -> Vec<Method> {
     let each = METHODS.iter().filter_map(|(name, environment, words)| {
         let python = environment.python(&format!("the peer {name}"))?;

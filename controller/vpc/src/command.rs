@@ -30,7 +30,7 @@ pub(crate) struct Present<'a> {
     pub extra_px: f64,
     /// What the arm allows of a command that is in force for `interval`, where it is known.
     pub dampers: Option<&'a Dampers>,
-    /// The twist whose nearest one is searched for, instead of the target.
+    /// A wanted twist: the command is as near to it as it may be, and does not aim at the target.
     pub wanted: Option<Twist>,
 }
 

@@ -118,11 +118,9 @@ impl Draft {
         if self.since >= WHOLE {
             self.since -= 1.0;
             commands.rotate_left(1);
-            commands
-                .iter_mut()
-                .last()
-                .into_iter()
-                .for_each(|last| *last = [0.0; DOF]);
+            if let Some(last) = commands.last_mut() {
+                *last = [0.0; DOF];
+            }
         }
         let off = expected.inverse().then(&course.start).logarithm();
         let each = off / (CATCHING_UP as f64 * ts);

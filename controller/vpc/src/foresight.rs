@@ -434,7 +434,7 @@ impl Thinker<'_> {
         self.solver.done() + refined
     }
 
-    /// Refines drafts, and follows one whose simulated future is cheaper.
+    /// Refines drafts, and follows one if its simulated future is cheaper.
     fn refine(&mut self, best: &mut Future, foresight: &mut Foresight) {
         let extra_px = self.extra_px + SPARE_PX + SPARE_PX_S * self.lead_s;
         let Some(mut course) = course(&self.policy, self.initial, extra_px) else {
@@ -492,8 +492,7 @@ impl Thinker<'_> {
         };
         let knows_a_way = matches!(best.outcome, Outcome::Arrives { .. });
         let guide = match number % 4 {
-            _ if number <= 5 => None,
-            1 => None,
+            turn if turn == 1 || number <= 5 => None,
             3 => {
                 foresight.drawn += 1;
                 self.drawn(foresight.drawn, best.outcome)

@@ -1092,7 +1092,7 @@ impl Share {
 struct Towards {
     /// A way point to track instead of the goal.
     tracked: Option<Points>,
-    /// A twist whose nearest one is sent, instead of either.
+    /// A wanted twist: the nearest allowed one is sent, instead of either.
     wanted: Option<Twist>,
 }
 

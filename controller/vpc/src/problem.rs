@@ -43,7 +43,7 @@ pub struct Problem<'a> {
     pub margin: f64,
     /// What the arm allows, where it is known, and what a posture that it goes to wants.
     pub dampers: Option<&'a Dampers>,
-    /// The twist whose nearest one is searched for, instead of the target.
+    /// A wanted twist: the plan goes as near to it as it may, and not to the target.
     pub wanted: Option<Twist>,
     /// Steps of the window in which clearances count.
     pub watched: usize,

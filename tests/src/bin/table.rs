@@ -42,8 +42,8 @@ use vpc::{Settings, Task};
 ///
 /// Columns: success, the share of runs that arrived in the scene's time without a violation; cost,
 /// the mean of what the law minimizes, per step ahead; cycles to arrival, the mean over these runs;
-/// p99 of the time that a decision takes, of an external method from question to answer; failures by their reason. With --wide also slack, the time
-/// that foresight takes after each decision.
+/// p99 of the time that a decision takes, of an external method from question to answer; failures
+/// by their reason. With --wide also slack, the time that foresight takes after each decision.
 #[derive(Parser)]
 #[command(name = "table", version)]
 struct Cli {
