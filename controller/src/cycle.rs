@@ -172,6 +172,7 @@ impl<'m> Cycle<'m> {
         let inputs = self.receive(features, stop);
         let answer = self.control.decide(&inputs, &mut record);
         let decided_ns = now_ns();
+        self.control.decided(decided_ns);
         let sent = self.send(&answer, &mut record);
         record.stamp.data_ns = woken_ns;
         record.receive_ns = inputs.now_ns.saturating_sub(woken_ns);

@@ -313,6 +313,13 @@ impl<'m> ControlStep<'m> {
         }
     }
 
+    /// The decision was ready to be sent at `decided_ns`, no earlier.
+    pub fn decided(&mut self, decided_ns: u64) {
+        if self.gate.is_live() {
+            self.law.sent_late(decided_ns);
+        }
+    }
+
     /// The last decision could not be sent: which command the camera obeys is unknown.
     pub fn unsent(&mut self) {
         self.law.forget_sent();

@@ -139,6 +139,15 @@ impl History {
         self.count = count as u32 + 1;
     }
 
+    /// The newest command left later than was said of it, at `at_ns`.
+    pub fn postpone(&mut self, at_ns: u64) {
+        let newest = (self.count as usize).checked_sub(1);
+        let from_ns = self.from_ns.as_flattened_mut();
+        if let Some(from_ns) = newest.and_then(|newest| from_ns.get_mut(newest)) {
+            *from_ns = at_ns.max(*from_ns);
+        }
+    }
+
     /// The commands with their times, the oldest first.
     fn entries(&self) -> impl DoubleEndedIterator<Item = (u64, &Twist)> + ExactSizeIterator {
         let times = self.from_ns.as_flattened().iter().copied();

@@ -186,6 +186,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.state.standing = *twist;
     }
 
+    /// Records that the last command left only at `at_ns`, because the decision took that long.
+    pub fn sent_late(&mut self, at_ns: u64) {
+        self.state.history.postpone(at_ns);
+    }
+
     /// Records the velocity of the arm's elbow that was sent with the last command, rad/s.
     pub fn sent_elbow(&mut self, elbow: f64) {
         self.state.elbow = elbow;
@@ -817,14 +822,22 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let commanded_px = commanded.map_or(moved_px, |commanded| {
             features::largest_distance(commanded, &filtered)
         });
-        frozen::check(
-            &mut self.state.still_px,
-            points,
-            &seen,
-            [moved_px, commanded_px],
-        )
-        .inspect_err(|_| self.lose_sight())?;
+        let expected_px = match self.has_begun(exposed_ns) {
+            true => [moved_px, commanded_px],
+            false => [0.0; 2],
+        };
+        frozen::check(&mut self.state.still_px, points, &seen, expected_px)
+            .inspect_err(|_| self.lose_sight())?;
         Ok(!is_push && *points != seen)
+    }
+
+    /// Whether a robot that begins a period late moved before this exposure. A busy machine
+    /// delivers a command as late as that.
+    fn has_begun(&self, exposed_ns: u64) -> bool {
+        let late_ns = (self.task.period * 1e9) as u64;
+        let before = |at_ns: u64| at_ns.saturating_sub(late_ns);
+        let (from_ns, to_ns) = (before(self.state.seen_ns), before(exposed_ns));
+        self.state.history.mean(from_ns, to_ns) != [0.0; DOF]
     }
 
     /// Whether the last image is recent enough to learn the pattern's motion from: not across a

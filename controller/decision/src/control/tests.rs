@@ -399,7 +399,7 @@ fn a_live_image_that_ignores_commands_is_not_believed() {
     law.law.go_live(3 * PERIOD);
     let mut frame = displaced(&law, 60.0);
     let mut holds = Vec::new();
-    for k in 1..20 {
+    for k in 1..21 {
         frame.stamp.data_ns = k * PERIOD;
         law.law.sent(&[0.1, 0.0, 0.0, 0.0, 0.0, 0.0], k * PERIOD);
         let decision = law.run_law(
@@ -425,9 +425,39 @@ fn a_live_image_that_ignores_commands_is_not_believed() {
         )
         .hold
     };
-    assert_eq!(step(&mut law, 20), Some(Hold::Mixed));
+    assert_eq!(step(&mut law, 21), Some(Hold::Mixed));
     law.law.lose_sight();
-    assert_eq!(step(&mut law, 21), None);
+    assert_eq!(step(&mut law, 22), None);
+}
+
+#[test]
+fn a_live_image_may_repeat_until_a_late_first_command_moves_it() {
+    const PERIOD: u64 = 33_000_000;
+    // How late the command leaves, and how often the image repeats after it: whether it is frozen.
+    let cases = [
+        (0, 1, false),
+        (0, 2, true),
+        (PERIOD - 1_000_000, 1, false),
+        (PERIOD - 1_000_000, 2, true),
+    ];
+    for (late_ns, repeats, is_frozen) in cases {
+        let mut law = law();
+        law.law.go_live(100 * PERIOD);
+        law.law.sent(&[0.0; 6], 0);
+        let mut frame = displaced(&law, 60.0);
+        let mut step = |law: &mut ControlStep, k: u64| {
+            frame.stamp.data_ns = k * PERIOD;
+            let record = &mut CycleRecord::default();
+            law.run_law(&frame, k * PERIOD, Link::Next, false, record)
+                .hold
+        };
+        assert_eq!(step(&mut law, 1), None);
+        law.law.sent(&[0.3, 0.0, 0.0, 0.0, 0.0, 0.0], PERIOD);
+        law.law.sent_late(PERIOD + late_ns);
+        let holds: Vec<_> = (2..2 + repeats).map(|k| step(&mut law, k)).collect();
+        let case = format!("{late_ns}, {repeats}: {holds:?}");
+        assert_eq!(holds.contains(&Some(Hold::Frozen)), is_frozen, "{case}");
+    }
 }
 
 #[test]
