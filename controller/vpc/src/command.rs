@@ -53,33 +53,64 @@ impl Policy<'_> {
         aim: &Points,
         target: &Points,
     ) -> (Twist, Solution) {
+        let problem = self.problem(present, aim, target);
+        let braking = repeated(&problem.braking());
+        let solution = solver.solve_from(&problem, &[*present.warm, braking]);
+        (limit::command(solver, &problem, &solution), solution)
+    }
+
+    /// The same towards a wanted twist, which is sent to the last bit where nothing speaks against
+    /// it.
+    pub fn nearest(&self, solver: &mut Solver<'_>, present: &Present<'_>, wanted: &Twist) -> Twist {
+        let goal = &self.task.goal;
+        let present = Present {
+            wanted: Some(*wanted),
+            warm: &repeated(&limit::clamp(wanted, &self.task.limits)),
+            ..*present
+        };
+        let problem = self.problem(&present, goal, goal);
+        let is_inside = wanted.iter().enumerate().all(|(k, v)| {
+            let [least, most] = problem.bounds(k);
+            (least..=most).contains(v)
+        });
+        match is_inside && solver.is_clear(&problem, &repeated(wanted), 0.0) {
+            true => *wanted,
+            false => self.command(solver, &present, goal, goal).0,
+        }
+    }
+
+    /// The optimal-control problem.
+    fn problem<'p>(
+        &'p self,
+        present: &Present<'p>,
+        aim: &Points,
+        target: &'p Points,
+    ) -> Problem<'p> {
         let Present {
             initial,
-            warm,
+            standing,
             interval,
             extra_px,
             dampers,
             wanted,
             ..
         } = *present;
-        let problem = Problem {
+        Problem {
             task: self.task,
             initial,
             target,
             r_share: cost::r_share(self.task, &initial.points, aim),
             change_share: self.settings.change_share * self.task.ts / interval,
-            standing: *present.standing,
+            standing: *standing,
             interval,
             ts: self.step_s(initial, target, interval),
             margin: self.settings.margin_px + extra_px,
             dampers,
             wanted,
-            // What comes after the next step of a refined way is checked by its future.
+            // What comes after the next step of a refined way is checked by its future; after that
+            // of another program's twist, by the next cycle.
             watched: wanted.map_or(MAX_NP, |_| 1),
-        };
-        let braking = repeated(&problem.braking());
-        let solution = solver.solve_from(&problem, &[*warm, braking]);
-        (limit::command(solver, &problem, &solution), solution)
+        }
     }
 
     /// Length of a step of the window, s. Where the camera takes time to brake, it is longer far

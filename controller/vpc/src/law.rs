@@ -1,5 +1,7 @@
 //! The law, one cycle at a time.
 
+mod guard;
+
 use ::arm::{Dampers, Joints};
 use scene::Scene;
 
@@ -439,10 +441,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     ) -> Result<Step, Refusal> {
         (self.root, self.has_thought) = (None, false);
         let is_linked = self.state.is_linked;
-        let (initial, mismatch) = self.receive(measurement).inspect_err(|_| {
-            self.skip_mismatch();
-            self.state.previous = [0.0; MAX_VARIABLES];
-        })?;
+        let (initial, mismatch) = self.see(measurement)?;
         self.think_first(&initial, memory);
         Ok(self.answer(initial, mismatch.as_ref(), is_linked, memory))
     }
@@ -548,12 +547,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 self.plan(&initial, dampers, &warm, towards, mismatch, &mut step);
             }
         }
-        step.twist = self.slowed(&initial, dampers, &step.twist);
-        step.cause = arm::cause(dampers, &step.twist, &self.task.limits);
-        // An arm that stands moves no elbow, either.
-        let turning = dampers.filter(|_| !step.stands);
-        step.elbow = turning.map_or(0.0, |dampers| dampers.elbow(&step.twist));
-        self.predict(&initial, &step.twist);
+        self.finish(&initial, dampers, &mut step);
         let policy = Policy {
             task: &self.task,
             settings: &self.settings,
@@ -565,6 +559,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.root = Some(initial.with_elbow(step.elbow));
         self.spent = step.cost / self.settings.np as f64;
         step
+    }
+
+    /// Completes a step that has a twist, and predicts what it leads to.
+    fn finish(&mut self, initial: &InitialState, dampers: Option<&Dampers>, step: &mut Step) {
+        step.twist = self.slowed(initial, dampers, &step.twist);
+        step.cause = arm::cause(dampers, &step.twist, &self.task.limits);
+        // An arm that stands moves no elbow, either.
+        let turning = dampers.filter(|_| !step.stands);
+        step.elbow = turning.map_or(0.0, |dampers| dampers.elbow(&step.twist));
+        self.predict(initial, &step.twist);
     }
 
     /// Whether the camera is to stand, because no way is known and nothing has improved. What
@@ -590,6 +594,17 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             patience.pass(error_px, has_hope, self.task.period);
         }
         patience.is_over()
+    }
+
+    /// [`Law::receive`]; a refusal ends what links a cycle to the next.
+    fn see(
+        &mut self,
+        measurement: &Measurement,
+    ) -> Result<(InitialState, Option<Points>), Refusal> {
+        self.receive(measurement).inspect_err(|_| {
+            self.skip_mismatch();
+            self.state.previous = [0.0; MAX_VARIABLES];
+        })
     }
 
     /// Where the preview starts: the features that pass all checks, filtered, and advanced to the

@@ -1,0 +1,189 @@
+//! Twists of another program: what is harmless passes to the last bit, and nothing else takes a
+//! point out of sight or the camera beyond its limits.
+
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use scene::{Limits, Pose, Scene};
+use vpc::motion::Motion;
+use vpc::{Law, Measurement, Settings, Task, Twist, camera, constraint, task};
+
+/// Cycles of a run.
+const CYCLES: u64 = 100;
+/// Instants of a period that are judged.
+const INSTANTS: u32 = 12;
+/// The deepest that a point may be in an occlusion or outside the image, px.
+const DEEPEST_PX: f64 = 0.25;
+/// A twist is harmless if it keeps all points so far away from every border, px: what the law keeps
+/// because the pattern may move, at most, and a little more.
+const FAR_PX: f64 = 18.0;
+
+/// A camera that obeys exactly.
+struct Camera<'a> {
+    task: &'a Task,
+    points: Vec<Vector3<f64>>,
+}
+
+impl Camera<'_> {
+    fn pixels(&self) -> Vec<[f64; 2]> {
+        let see = |x: &Vector3<f64>| camera::project(&self.task.camera, (*x).into()).unwrap();
+        self.points.iter().map(see).collect()
+    }
+
+    /// The points after so long at a twist.
+    fn after(&self, twist: &Twist, seconds: f64) -> Vec<Vector3<f64>> {
+        let motion = Motion::of_camera(twist, seconds);
+        self.points.iter().map(|x| motion.apply(x)).collect()
+    }
+
+    /// The depth of the deepest point, with so much clearance, at any instant of a way of so many
+    /// seconds, px.
+    fn deepest_px(&self, twist: &Twist, seconds: f64, clearance_px: f64) -> f64 {
+        let depth = |x: &Vector3<f64>| match camera::project(&self.task.camera, (*x).into()) {
+            Some(pixel) => constraint::violation(self.task, pixel, clearance_px),
+            None => f64::INFINITY,
+        };
+        (1..=INSTANTS)
+            .flat_map(|i| self.after(twist, f64::from(i) / f64::from(INSTANTS) * seconds))
+            .map(|x| depth(&x))
+            .fold(0.0, f64::max)
+    }
+}
+
+/// What another program may want next: what a policy wants, and what none should.
+fn wanted(
+    random: &mut ChaCha8Rng,
+    limits: &Twist,
+    [before, standing]: [&Twist; 2],
+) -> Option<Twist> {
+    let mut within =
+        |share: f64| limits.map(|most| share * most * (2.0 * random.random::<f64>() - 1.0));
+    let (small, any, wild) = (within(0.2), within(1.0), within(20.0));
+    match random.random_range(0..20_u32) {
+        0 => None,
+        1 => Some([f64::NAN; 6]),
+        2 => Some([f64::INFINITY, 0.0, -f64::MAX, 0.0, 0.0, f64::MIN_POSITIVE]),
+        3 => Some(before.map(|v| -v)),
+        4 => Some(any.map(|v| v.signum() * 1e3)),
+        5 => Some(wild),
+        6..=8 => Some(any),
+        9 | 10 => Some(small),
+        11..=13 => Some(std::array::from_fn(|i| 0.9 * standing[i] + 0.1 * small[i])),
+        // Most go on, so that it comes to a border.
+        _ => Some(*before),
+    }
+}
+
+/// What came of the wanted twists.
+#[derive(Debug, Default)]
+struct Seen {
+    twists: u64,
+    /// How many of them were harmless, and passed.
+    harmless: u64,
+    /// How many were changed.
+    changed: u64,
+    deepest_px: f64,
+    /// Greatest component, and greatest change of one in a period, as a share of what is allowed.
+    fastest: f64,
+    steepest: f64,
+}
+
+/// Guards a camera against random twists from a start.
+fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
+    let mut law = Law::new(scene, Settings::default(), |len| vec![0.0; len]).unwrap();
+    let task = law.task().clone();
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (mut standing, mut before) = ([0.0; 6], task.limits);
+    let mut camera = Camera {
+        task: &task,
+        points: task::placed(&task.pattern, start).collect(),
+    };
+    for k in 0..CYCLES {
+        let now_ns = (k as f64 * task.period * 1e9).round() as u64;
+        let measured = Measurement::from_points(&camera.pixels()).taken(now_ns, now_ns);
+        let wanted = wanted(&mut random, &task.limits, [&before, &standing]);
+        let step = match law.guard(&measured, wanted.as_ref()) {
+            Ok(step) => step,
+            // From the side, or too small to see.
+            Err(_) => return,
+        };
+        law.sent(&step.twist, now_ns);
+        seen.twists += 1;
+        let change: Twist = std::array::from_fn(|i| step.twist[i] - standing[i]);
+        let shares = step.twist.iter().zip(&task.limits);
+        seen.fastest = shares
+            .map(|(v, most)| v.abs() / most)
+            .fold(seen.fastest, f64::max);
+        seen.steepest = seen.steepest.max(task.stop_s(&change) / task.period);
+        if let Some(wanted) = wanted {
+            // The way of a command and of its braking, held: as far as it goes.
+            let seconds = task.period + 0.5 * task.stop_s(&wanted);
+            let may_begin = task.stop_s(&std::array::from_fn(|i| wanted[i] - standing[i]));
+            let is_slow = wanted
+                .iter()
+                .zip(&task.limits)
+                .all(|(v, most)| v.abs() <= *most);
+            let is_harmless = is_slow
+                && may_begin <= task.period
+                && camera.deepest_px(&wanted, seconds, FAR_PX) == 0.0;
+            let passed = step.twist.map(f64::to_bits) == wanted.map(f64::to_bits);
+            assert!(
+                passed || !is_harmless,
+                "seed {seed}, cycle {k}: {wanted:?}, {step:?}"
+            );
+            seen.harmless += u64::from(is_harmless);
+            seen.changed += u64::from(!passed);
+            before = wanted;
+        }
+        let deepest_px = camera.deepest_px(&step.twist, task.period, 0.0);
+        seen.deepest_px = seen.deepest_px.max(deepest_px);
+        standing = step.twist;
+        camera.points = camera.after(&standing, task.period);
+    }
+}
+
+/// Guards from the starts of paper-sim; `VPC_LONG=1` against a million twists.
+fn guarded(limits: Limits) -> Seen {
+    let mut scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    scene.limits = limits;
+    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    let most = match std::env::var_os("VPC_LONG") {
+        Some(_) => 1_000_000,
+        None => 20_000,
+    };
+    let mut seen = Seen::default();
+    for (seed, start) in (0..).zip(starts.iter().cycle()) {
+        guard(&scene, start, seed, &mut seen);
+        if seen.twists >= most {
+            break;
+        }
+    }
+    println!("{seen:?}");
+    assert!(seen.harmless > seen.twists / 10, "{seen:?}");
+    assert!(seen.changed > seen.twists / 10, "{seen:?}");
+    assert!(seen.fastest <= 1.0, "{seen:?}");
+    seen
+}
+
+#[test]
+fn no_twist_takes_a_point_out_of_sight() {
+    let seen = guarded(Limits {
+        linear: 0.5,
+        angular: 1.0,
+        linear_acceleration: None,
+        angular_acceleration: None,
+    });
+    assert!(seen.deepest_px <= DEEPEST_PX, "{seen:?}");
+}
+
+#[test]
+fn under_limits_of_acceleration_it_can_stop() {
+    let seen = guarded(Limits {
+        linear: 0.5,
+        angular: 1.0,
+        linear_acceleration: Some(2.0),
+        angular_acceleration: Some(4.0),
+    });
+    assert!(seen.steepest <= 1.0 + 1e-9, "{seen:?}");
+    assert!(seen.deepest_px <= DEEPEST_PX, "{seen:?}");
+}
