@@ -36,7 +36,7 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     pub memory: Option<PathBuf>,
 
-    /// foresight, previous, knn (or knn2 ... knn64: neighbours averaged), gpr or ibvs, instead of
+    /// foresight, previous, knn (or knn2 ... knn64: neighbours averaged), gpr, ibvs or follow, instead of
     /// `law.strategy`.
     #[arg(long, value_name = "NAME")]
     pub strategy: Option<String>,

@@ -172,7 +172,7 @@ impl<'m> Cycle<'m> {
         let inputs = self.receive(features, stop);
         let answer = self.control.decide(&inputs, &mut record);
         let decided_ns = now_ns();
-        self.control.decided(decided_ns);
+        self.control.sent_at(decided_ns);
         let sent = self.send(&answer, &mut record);
         record.stamp.data_ns = woken_ns;
         record.receive_ns = inputs.now_ns.saturating_sub(woken_ns);
@@ -269,6 +269,7 @@ impl<'m> Cycle<'m> {
     /// Takes what came from robot and operators, and the time for which the cycle decides.
     fn receive(&mut self, features: Input<Features>, stop: &Stop) -> Inputs {
         let robot = input(self.ports.robot.latest());
+        let desired = input(self.ports.desired.latest());
         self.take_requests();
         let missed = self.grid.missed() - self.missed;
         self.missed = self.grid.missed();
@@ -279,6 +280,7 @@ impl<'m> Cycle<'m> {
             now_ns: now_ns(),
             features,
             robot,
+            desired,
             missed: u32::try_from(missed).unwrap_or(u32::MAX),
             suspended: slept_ns > SUSPENDED_NS,
             shutdown: stop.is_asked(),

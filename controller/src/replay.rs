@@ -126,7 +126,7 @@ fn replay_run(
         }
         let mut replayed = measured(record);
         control.decide(&inputs, &mut replayed);
-        control.decided(inputs.now_ns + record.step_ns);
+        control.sent_at(inputs.now_ns.saturating_add(record.step_ns));
         if record.flags & CycleFlags::SENT.0 == 0 {
             control.unsent();
         }

@@ -3,7 +3,8 @@
 use std::time::Duration;
 
 use messages::{
-    CycleRecord, Features, Received, Reply, Request, RobotState, Snapshot, TwistCommand,
+    CycleRecord, DesiredTwist, Features, Received, Reply, Request, RobotState, Snapshot,
+    TwistCommand,
 };
 
 use crate::clock::now_ns;
@@ -85,6 +86,8 @@ ports! {
         in features: Features, 1;
         /// The latest state of the robot.
         in robot: RobotState, 1;
+        /// The latest wanted twist.
+        in desired: DesiredTwist, 1;
         /// What operators ask for; take them one by one with [`Subscriber::oldest`].
         in requests: Request;
     }

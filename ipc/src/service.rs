@@ -11,8 +11,8 @@ use iceoryx2::service::builder::publish_subscribe::{
 use iceoryx2::service::port_factory::publish_subscribe;
 use iceoryx2::service::{Service as _, ipc};
 use messages::{
-    CycleRecord, Features, ImageHeader, Message, Payload, Reply, Request, RobotState, SERVICES,
-    Snapshot, TwistCommand,
+    CycleRecord, DesiredTwist, Features, ImageHeader, Message, Payload, Reply, Request, RobotState,
+    SERVICES, Snapshot, TwistCommand,
 };
 
 use crate::error::JoinReason;
@@ -43,6 +43,7 @@ pub(crate) fn open_all(node: &Node<ipc::Service>) -> Result<Vec<Box<dyn OpenServ
         Box::new(open::<Features>(node)?),
         Box::new(open::<TwistCommand>(node)?),
         Box::new(open::<RobotState>(node)?),
+        Box::new(open::<DesiredTwist>(node)?),
         Box::new(open::<CycleRecord>(node)?),
         Box::new(open::<Snapshot>(node)?),
         Box::new(open::<Request>(node)?),

@@ -89,6 +89,7 @@ impl<'m> Simulated<'m> {
                 (state.stamp.data_ns, state.stamp.published_ns) = (now_ns, now_ns);
                 Input::Message(state)
             }),
+            desired: Input::Nothing,
             missed: 0,
             suspended: false,
             shutdown: false,

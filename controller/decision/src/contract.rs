@@ -23,6 +23,7 @@ pub fn strategy_code(strategy: Strategy) -> (StrategyCode, u32) {
         Strategy::Gpr => StrategyCode::Gpr,
         Strategy::Ibvs => StrategyCode::Ibvs,
         Strategy::Foresight => StrategyCode::Foresight,
+        Strategy::Follow => StrategyCode::Follow,
     };
     (code, strategy.neighbours() as u32)
 }

@@ -7,12 +7,12 @@ use alloc::vec::Vec;
 
 use memory_blob::Memory;
 use messages::{
-    Action, CycleFlags, CycleRecord, Features, Hold, Outcome, Reply, Request, Stamp, StrategyCode,
-    TwistState,
+    Action, CycleFlags, CycleRecord, Features, Hold, MOST_WANTED_NS, Outcome, Reply, Request,
+    Stamp, StrategyCode, TwistState,
 };
 use scene::Scene;
 use serde::{Deserialize, Serialize};
-use vpc::{Law, MotionMemory, Refusal, Settings, SettingsError, limit};
+use vpc::{Law, MotionMemory, Refusal, Settings, SettingsError, Step, Strategy, limit};
 
 use crate::contract;
 use crate::decision::Decision;
@@ -47,6 +47,17 @@ pub struct State {
     pub predicted: u32,
     /// The way that the camera came.
     pub way: Way,
+    /// What another program wants.
+    pub wish: Option<Wish>,
+}
+
+/// A twist that another program wants. Plain data.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct Wish {
+    pub twist: [f64; 6],
+    /// Until when it counts, CLOCK_MONOTONIC, ns.
+    pub until_ns: u64,
 }
 
 /// Decides cycle by cycle: gate, law and supervisor, with what a cycle leaves to the next. The
@@ -61,6 +72,7 @@ pub struct ControlStep<'m> {
     standing: Answer,
     predicted: u32,
     way: Way,
+    wish: Option<Wish>,
 }
 
 impl<'m> ControlStep<'m> {
@@ -94,6 +106,7 @@ impl<'m> ControlStep<'m> {
             },
             predicted: 0,
             way: Way::default(),
+            wish: None,
         })
     }
 
@@ -115,6 +128,7 @@ impl<'m> ControlStep<'m> {
             standing,
             predicted,
             way,
+            wish,
         } = self;
         State {
             gate: *gate,
@@ -124,6 +138,7 @@ impl<'m> ControlStep<'m> {
             standing: *standing,
             predicted: *predicted,
             way: *way,
+            wish: *wish,
         }
     }
 
@@ -137,6 +152,7 @@ impl<'m> ControlStep<'m> {
         self.standing = state.standing;
         self.predicted = state.predicted;
         self.way = state.way;
+        self.wish = state.wish;
     }
 
     /// The law.
@@ -214,6 +230,7 @@ impl<'m> ControlStep<'m> {
             let at_ns = if data_ns == 0 { published_ns } else { data_ns };
             self.law.see_joints(joints, at_ns);
         }
+        record.desired = self.want(inputs);
         let proposed = self.propose(inputs, record);
         (record.predicted, record.drift) = (self.predicted, *self.law.drift());
         let situation = Situation {
@@ -274,6 +291,7 @@ impl<'m> ControlStep<'m> {
             now_ns,
             features: Input::Message(features),
             robot: Input::Nothing,
+            desired: Input::Nothing,
             missed: 0,
             suspended: false,
             shutdown: false,
@@ -313,10 +331,10 @@ impl<'m> ControlStep<'m> {
         }
     }
 
-    /// The decision was ready to be sent at `decided_ns`, no earlier.
-    pub fn decided(&mut self, decided_ns: u64) {
+    /// The last decision was sent at `at_ns`, no earlier.
+    pub fn sent_at(&mut self, at_ns: u64) {
         if self.gate.is_live() {
-            self.law.sent_late(decided_ns);
+            self.law.sent_late(at_ns);
         }
     }
 
@@ -336,7 +354,7 @@ impl<'m> ControlStep<'m> {
                 let has_arrived = self.standing.decision.state == TwistState::Arrived;
                 let decision = self.run_law(&features, effective_ns, link, has_arrived, record);
                 match decision.hold {
-                    None | Some(Hold::NoWay) => self.gate.approve(),
+                    None | Some(Hold::NoWay | Hold::Unwanted) => self.gate.approve(),
                     Some(hold) => _ = self.gate.hold(hold),
                 }
                 self.standing = Answer {
@@ -383,8 +401,7 @@ impl<'m> ControlStep<'m> {
             Ok(step) => {
                 contract::record_step(&step, record);
                 contract::record_hidden(&self.law, record);
-                self.bounds
-                    .decide(&step, self.law.drift(), had_arrived && link != Link::New)
+                self.judge(&step, had_arrived && link != Link::New)
             }
             Err(refusal) => {
                 // The camera works, and the robot stands: features are not lost yet.
@@ -439,7 +456,44 @@ impl<'m> ControlStep<'m> {
         let step = self.law.coast(now_ns, motion(&self.memory))?;
         contract::record_step(&step, record);
         let had_arrived = state == TwistState::Arrived;
-        Some(self.bounds.decide(&step, self.law.drift(), had_arrived))
+        Some(self.judge(&step, had_arrived))
+    }
+
+    /// Tells the law what another program wants; zero if that is nothing. Without a message the
+    /// last one counts, for as long as it said.
+    fn want(&mut self, inputs: &Inputs) -> [f64; 6] {
+        match &inputs.desired {
+            Input::Message(desired) => {
+                self.wish = Some(Wish {
+                    twist: desired.twist,
+                    until_ns: desired
+                        .in_force_until_ns()
+                        .min(inputs.now_ns.saturating_add(MOST_WANTED_NS)),
+                });
+            }
+            Input::Nothing => (),
+            Input::Refused(_) | Input::Failed => self.wish = None,
+        }
+        self.wish = self.wish.filter(|wish| inputs.now_ns < wish.until_ns);
+        let follows = self.law.settings().strategy == Strategy::Follow;
+        let wanted = self.wish.filter(|_| follows).map(|wish| wish.twist);
+        self.law.want(wanted);
+        wanted.unwrap_or_default()
+    }
+
+    /// What to command after a step of the law. Where another program steers, nothing arrives.
+    fn judge(&self, step: &Step, had_arrived: bool) -> Decision {
+        let decision = self.bounds.decide(step, self.law.drift(), had_arrived);
+        let follows = self.law.settings().strategy == Strategy::Follow;
+        match (follows && decision.hold.is_none(), self.wish) {
+            (false, _) => decision,
+            (true, None) => Decision::hold(Hold::Unwanted),
+            (true, Some(_)) => Decision {
+                elbow: step.elbow,
+                state: TwistState::Moving,
+                ..decision
+            },
+        }
     }
 
     /// What was received, and under which settings it is decided.
@@ -455,6 +509,8 @@ impl<'m> ControlStep<'m> {
         (record.features_input, record.features_seen) = (code.code(), seen);
         let (code, seen) = inputs.robot.wire();
         (record.robot_input, record.robot_seen) = (code.code(), seen);
+        let (code, seen) = inputs.desired.wire();
+        (record.desired_input, record.desired_seen) = (code.code(), seen);
         record.missed = inputs.missed;
         record.stops = self.supervisor.stops();
         for (flag, is_set) in [

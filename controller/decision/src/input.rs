@@ -1,6 +1,6 @@
 //! What a cycle receives.
 
-use messages::{Features, InputCode, RobotState, Stamp};
+use messages::{DesiredTwist, Features, InputCode, RobotState, Stamp};
 
 /// What came from one port.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +24,8 @@ pub struct Inputs {
     pub features: Input<Features>,
     /// From the robot.
     pub robot: Input<RobotState>,
+    /// From the program that wants a twist.
+    pub desired: Input<DesiredTwist>,
     /// Releases missed just before this cycle.
     pub missed: u32,
     /// Whether the machine was suspended just before this cycle.

@@ -10,7 +10,7 @@ use messages::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 14;
+pub const VERSION: u32 = 15;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -64,7 +64,7 @@ mod tests {
     use messages::{Features, Hold, Stamp, TwistState};
 
     use super::*;
-    use crate::control::Answer;
+    use crate::control::{Answer, Wish};
     use crate::decision::Decision;
     use crate::gate::Gate;
     use crate::input::Input;
@@ -148,6 +148,10 @@ mod tests {
             },
             predicted: u32::MAX,
             way: Way::default(),
+            wish: Some(Wish {
+                twist: [f64::NAN; 6],
+                until_ns: u64::MAX,
+            }),
         }
     }
 

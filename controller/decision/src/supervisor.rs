@@ -223,7 +223,7 @@ impl Supervisor {
     /// Whether it began armed and has waited for too long for camera and robot: they would set it
     /// in motion when no operator expects it any more.
     fn has_waited(&mut self, hold: Option<Hold>, now_ns: u64) -> bool {
-        self.has_met |= hold.is_none_or(|hold| hold == Hold::NoWay);
+        self.has_met |= hold.is_none_or(|hold| matches!(hold, Hold::NoWay | Hold::Unwanted));
         let since = *self.waits_since.get_or_insert(now_ns);
         !self.has_met && now_ns.saturating_sub(since) > PEERS_NS
     }
@@ -256,9 +256,9 @@ impl Supervisor {
             Some(Hold::NotFollowed) => return Outcome::NotFollowed,
             Some(_) => return Outcome::RobotFault,
         }
-        // Where no way is known it may be armed, and tries again.
+        // Where no way is known, or no twist is wanted, it may be armed, and waits.
         match situation.decision.hold {
-            None | Some(Hold::NoWay) => (),
+            None | Some(Hold::NoWay | Hold::Unwanted) => (),
             Some(Hold::NoJoints) => return Outcome::NoJoints,
             Some(_) => return Outcome::NoFeatures,
         }
@@ -441,7 +441,8 @@ fn response(hold: Hold) -> Response {
         | Hold::Elsewhere
         | Hold::Order
         | Hold::NoJoints
-        | Hold::NoWay => Response::Wait,
+        | Hold::NoWay
+        | Hold::Unwanted => Response::Wait,
     }
 }
 

@@ -1,7 +1,9 @@
 //! The queues of a domain, and what is to be done with each message.
 
 use ipc::{Domain, OpenError, ReceiveError, Subscriber};
-use messages::{CycleRecord, Features, Reply, Request, RobotState, Snapshot, TwistCommand};
+use messages::{
+    CycleRecord, DesiredTwist, Features, Reply, Request, RobotState, Snapshot, TwistCommand,
+};
 use recording::{Sink, WriteError};
 
 use crate::ledger::Notice;
@@ -31,6 +33,7 @@ pub(crate) fn all<S: Sink>(domain: &Domain) -> Result<Vec<Box<dyn Source<S>>>, O
         Port::<Features>::open(domain)?,
         Port::<Request>::open(domain)?,
         Port::<RobotState>::open(domain)?,
+        Port::<DesiredTwist>::open(domain)?,
         Port::<TwistCommand>::open(domain)?,
         Port::<Snapshot>::open(domain)?,
         Port::<CycleRecord>::open(domain)?,

@@ -5,8 +5,8 @@ use foxglove::messages::{
     FrameTransform, ImageAnnotations, Pose, PoseInFrame, log::Level, points_annotation::Type,
 };
 use messages::{
-    CycleRecord, Features, MAX_POINTS, Reply, Request, RobotState, Snapshot, Stamp, TwistCommand,
-    TwistState,
+    CycleRecord, DesiredTwist, Features, MAX_POINTS, Reply, Request, RobotState, Snapshot, Stamp,
+    TwistCommand, TwistState,
 };
 use nalgebra::Isometry3;
 use recording::{Recorded, Sink, WriteError};
@@ -30,6 +30,8 @@ pub trait Viewed: Recorded {
 }
 
 impl Viewed for TwistCommand {}
+
+impl Viewed for DesiredTwist {}
 
 impl Viewed for Snapshot {}
 

@@ -79,7 +79,7 @@ fn messages(file: &mut RecordingFile, ring: &Ring, progress: &AtomicU64) -> Resu
     let first = ring.snapshots().next().map_or(0, |snapshot| snapshot.cycle);
     let mut snapshots = ring.snapshots().peekable();
     let mut replies = ring.replies().peekable();
-    let (mut features, mut robot) = (None, None);
+    let (mut features, mut robot, mut desired) = (None, None, None);
     for cycle in ring.cycles().filter(|cycle| cycle.record.cycle >= first) {
         let number = cycle.record.cycle;
         while let Some(snapshot) = snapshots.next_if(|snapshot| snapshot.cycle <= number) {
@@ -95,6 +95,11 @@ fn messages(file: &mut RecordingFile, ring: &Ring, progress: &AtomicU64) -> Resu
         }
         if let Some(message) = cycle.robot.as_ref()
             && robot.replace(message.stamp) != Some(message.stamp)
+        {
+            file.write(message)?;
+        }
+        if let Some(message) = cycle.desired.as_ref()
+            && desired.replace(message.stamp) != Some(message.stamp)
         {
             file.write(message)?;
         }

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use messages::{CycleRecord, Features, Reply, RobotState};
+use messages::{CycleRecord, DesiredTwist, Features, Reply, RobotState};
 use rtrb::RingBuffer;
 
 use decision::control::State;
@@ -51,6 +51,7 @@ pub struct FlightCycle {
     pub record: CycleRecord,
     pub features: Option<Features>,
     pub robot: Option<RobotState>,
+    pub desired: Option<DesiredTwist>,
 }
 
 impl FlightCycle {
@@ -66,6 +67,7 @@ impl FlightCycle {
             record: *record,
             features: message(&inputs.features),
             robot: message(&inputs.robot),
+            desired: message(&inputs.desired),
         }
     }
 }

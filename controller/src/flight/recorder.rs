@@ -300,6 +300,7 @@ mod tests {
             record,
             features: None,
             robot: None,
+            desired: None,
         }
     }
 

@@ -4,7 +4,8 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use messages::{
-    CycleFlags, CycleRecord, Features, InputCode, Message, Reply, RobotState, Snapshot, Stamp,
+    CycleFlags, CycleRecord, DesiredTwist, Features, InputCode, Message, Reply, RobotState,
+    Snapshot, Stamp,
 };
 use recording::Recording;
 
@@ -14,6 +15,7 @@ use decision::{Input, Inputs};
 pub struct Source<'a> {
     features: HashMap<(u64, u64), &'a Features>,
     robot: HashMap<(u64, u64), &'a RobotState>,
+    desired: HashMap<(u64, u64), &'a DesiredTwist>,
     /// By the cycle from which they count.
     replies: HashMap<u64, Vec<&'a Reply>>,
     /// By the cycle that follows them.
@@ -26,6 +28,7 @@ impl<'a> Source<'a> {
         let mut source = Self {
             features: by_stamp(&recording.features),
             robot: by_stamp(&recording.robot),
+            desired: by_stamp(&recording.desired),
             replies: HashMap::new(),
             snapshots: HashMap::new(),
         };
@@ -72,6 +75,7 @@ impl<'a> Source<'a> {
             now_ns: record.stamp.data_ns.checked_add(record.receive_ns)?,
             features: input(record.features_input, record.features_seen, &self.features)?,
             robot: input(record.robot_input, record.robot_seen, &self.robot)?,
+            desired: input(record.desired_input, record.desired_seen, &self.desired)?,
             missed: record.missed,
             suspended: record.flags & CycleFlags::SUSPENDED.0 != 0,
             shutdown: record.flags & CycleFlags::SHUTDOWN.0 != 0,

@@ -1,7 +1,5 @@
 //! The law, one cycle at a time.
 
-mod guard;
-
 use ::arm::{Dampers, Joints};
 use scene::Scene;
 
@@ -53,6 +51,8 @@ pub struct Law<W> {
     has_thought: bool,
     /// Time from the last exposure to the command that answers it, s.
     lead_s: f64,
+    /// What another program wants, for [`Strategy::Follow`].
+    wanted: Option<Twist>,
     /// The work that the law may do in a cycle.
     share: Share,
     /// Most steps of a future.
@@ -81,6 +81,9 @@ const OLDEST_JOINTS_NS: u64 = 500_000_000;
 /// not known of the pattern's motion, of which no more than so many px count.
 const BACK_OFF: f64 = 2.0;
 const MOST_UNKNOWN_PX: f64 = 16.0;
+/// Clearance that [`Strategy::Follow`] keeps beside that of other strategies, px: above what the
+/// last check allows and what the way of a braking camera misses.
+const SPARE_PX: f64 = 0.5;
 
 /// What one cycle decided.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -160,6 +163,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             spent: 0.0,
             has_thought: false,
             lead_s: 0.0,
+            wanted: None,
             share,
             horizon: horizon.max(1.0) as u32,
             crossing: Crossing::of(scene, &task),
@@ -196,6 +200,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// Records the velocity of the arm's elbow that was sent with the last command, rad/s.
     pub fn sent_elbow(&mut self, elbow: f64) {
         self.state.elbow = elbow;
+    }
+
+    /// The camera twist that another program wants in the next steps with [`Strategy::Follow`]
+    /// (camera frame, m/s and rad/s). `None`, and one that is not finite, brakes.
+    pub fn want(&mut self, wanted: Option<Twist>) {
+        self.wanted = wanted.filter(|twist| twist.iter().all(|v| v.is_finite()));
     }
 
     /// Takes the positions of the arm's joints at an instant, base to flange, rad or m; only in a
@@ -441,7 +451,10 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     ) -> Result<Step, Refusal> {
         (self.root, self.has_thought) = (None, false);
         let is_linked = self.state.is_linked;
-        let (initial, mismatch) = self.see(measurement)?;
+        let (initial, mismatch) = self.receive(measurement).inspect_err(|_| {
+            self.skip_mismatch();
+            self.state.previous = [0.0; MAX_VARIABLES];
+        })?;
         self.think_first(&initial, memory);
         Ok(self.answer(initial, mismatch.as_ref(), is_linked, memory))
     }
@@ -502,6 +515,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let stands = is_foresight && self.loses_patience(dampers, step.error_px, is_linked);
         match self.settings.strategy {
             Strategy::Ibvs => self.servo(&initial, dampers, &mut step),
+            Strategy::Follow => self.guard(&initial, dampers, &mut step),
             Strategy::Foresight if stands => {
                 let (task, standing) = (&self.task, &self.state.standing);
                 step.stands = true;
@@ -547,7 +561,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 self.plan(&initial, dampers, &warm, towards, mismatch, &mut step);
             }
         }
-        self.finish(&initial, dampers, &mut step);
+        step.twist = self.slowed(&initial, dampers, &step.twist);
+        step.cause = arm::cause(dampers, &step.twist, &self.task.limits);
+        // An arm that stands moves no elbow, either.
+        let turning = dampers.filter(|_| !step.stands);
+        step.elbow = turning.map_or(0.0, |dampers| dampers.elbow(&step.twist));
+        self.predict(&initial, &step.twist);
         let policy = Policy {
             task: &self.task,
             settings: &self.settings,
@@ -559,16 +578,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.root = Some(initial.with_elbow(step.elbow));
         self.spent = step.cost / self.settings.np as f64;
         step
-    }
-
-    /// Completes a step that has a twist, and predicts what it leads to.
-    fn finish(&mut self, initial: &InitialState, dampers: Option<&Dampers>, step: &mut Step) {
-        step.twist = self.slowed(initial, dampers, &step.twist);
-        step.cause = arm::cause(dampers, &step.twist, &self.task.limits);
-        // An arm that stands moves no elbow, either.
-        let turning = dampers.filter(|_| !step.stands);
-        step.elbow = turning.map_or(0.0, |dampers| dampers.elbow(&step.twist));
-        self.predict(initial, &step.twist);
     }
 
     /// Whether the camera is to stand, because no way is known and nothing has improved. What
@@ -594,17 +603,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             patience.pass(error_px, has_hope, self.task.period);
         }
         patience.is_over()
-    }
-
-    /// [`Law::receive`]; a refusal ends what links a cycle to the next.
-    fn see(
-        &mut self,
-        measurement: &Measurement,
-    ) -> Result<(InitialState, Option<Points>), Refusal> {
-        self.receive(measurement).inspect_err(|_| {
-            self.skip_mismatch();
-            self.state.previous = [0.0; MAX_VARIABLES];
-        })
     }
 
     /// Where the preview starts: the features that pass all checks, filtered, and advanced to the
@@ -938,6 +936,31 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             }
             None => step.status = Status::NumericalFailure,
         }
+    }
+
+    /// The nearest allowed twist to the wanted one; that itself, to the last bit, where it is
+    /// allowed. The constraints are those of the other strategies, the cost is
+    /// (v - v_d)' R (v - v_d), and no goal counts.
+    fn guard(&mut self, initial: &InitialState, dampers: Option<&Dampers>, step: &mut Step) {
+        let present = Present {
+            initial,
+            standing: &self.state.standing,
+            interval: self.task.period,
+            warm: &self.state.previous,
+            extra_px: self.back_off_px(initial) + SPARE_PX,
+            dampers,
+            wanted: None,
+        };
+        let policy = Policy {
+            task: &self.task,
+            settings: &self.settings,
+        };
+        let wanted = self.wanted.unwrap_or_default();
+        match self.share.solver(&self.settings, self.workspace.as_mut()) {
+            Some(mut solver) => step.twist = policy.nearest(&mut solver, &present, &wanted),
+            None => step.status = Status::NumericalFailure,
+        }
+        self.state.previous = repeated(&step.twist);
     }
 
     /// The memory's answer, if features are near an occlusion.

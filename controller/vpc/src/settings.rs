@@ -72,7 +72,8 @@ settings! {
         /// frames and follows the best. The paper's strategies take warm start and target from the
         /// previous cycle (`previous`), the nearest sample of the memory (`knn`), the mean of
         /// several (`knn5`), or regression over the memory (`gpr`). `ibvs` is the classic law
-        /// without prediction. Flag: --strategy.
+        /// without prediction. `follow` has no goal: it sends the nearest allowed twist to that of
+        /// `vpc/desired`. Flag: --strategy.
         #[default(Strategy::Previous)]
         #[key(
             with = "alloc::string::String",

@@ -73,6 +73,8 @@ pub enum Strategy {
     Ibvs,
     /// Whole futures are simulated, and the best one is followed.
     Foresight,
+    /// The nearest allowed twist to the one that another program wants.
+    Follow,
 }
 
 /// Below this correlation with every sample the Gaussian process knows nothing: the variance that
@@ -81,12 +83,13 @@ const LEAST_CORRELATION: f64 = 0.1;
 
 impl Strategy {
     /// Every strategy, k-NN with one neighbour.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 6] = [
         Self::Previous,
         Self::Knn { k: 1 },
         Self::Gpr,
         Self::Ibvs,
         Self::Foresight,
+        Self::Follow,
     ];
 
     /// Its word, without a number of neighbours.
@@ -97,6 +100,7 @@ impl Strategy {
             Self::Gpr => "gpr",
             Self::Ibvs => "ibvs",
             Self::Foresight => "foresight",
+            Self::Follow => "follow",
         }
     }
 
@@ -104,7 +108,7 @@ impl Strategy {
     pub fn neighbours(self) -> usize {
         match self {
             Self::Knn { k } => k,
-            Self::Previous | Self::Gpr | Self::Ibvs | Self::Foresight => 0,
+            Self::Previous | Self::Gpr | Self::Ibvs | Self::Foresight | Self::Follow => 0,
         }
     }
 
@@ -137,7 +141,7 @@ impl Strategy {
                 let correlation = memory.gpr().map(|gpr| gpr.mean(input, output));
                 matches!(correlation, Some(Ok(correlation)) if correlation >= LEAST_CORRELATION)
             }
-            Self::Previous | Self::Ibvs | Self::Foresight => false,
+            Self::Previous | Self::Ibvs | Self::Foresight | Self::Follow => false,
         }
     }
 }
@@ -191,7 +195,7 @@ mod tests {
         }
         assert_eq!(
             Allowed.to_string(),
-            "previous, knn, knn2 to knn64, gpr, ibvs, foresight"
+            "previous, knn, knn2 to knn64, gpr, ibvs, foresight, follow"
         );
     }
 }

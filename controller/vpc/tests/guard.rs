@@ -6,7 +6,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Limits, Pose, Scene};
 use vpc::motion::Motion;
-use vpc::{Law, Measurement, Settings, Task, Twist, camera, constraint, task};
+use vpc::{Law, Measurement, Settings, Strategy, Task, Twist, camera, constraint, task};
 
 /// Cycles of a run.
 const CYCLES: u64 = 100;
@@ -90,7 +90,11 @@ struct Seen {
 
 /// Guards a camera against random twists from a start.
 fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
-    let mut law = Law::new(scene, Settings::default(), |len| vec![0.0; len]).unwrap();
+    let settings = Settings {
+        strategy: Strategy::Follow,
+        ..Settings::default()
+    };
+    let mut law = Law::new(scene, settings, |len| vec![0.0; len]).unwrap();
     let task = law.task().clone();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (mut standing, mut before) = ([0.0; 6], task.limits);
@@ -102,7 +106,8 @@ fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
         let now_ns = (k as f64 * task.period * 1e9).round() as u64;
         let measured = Measurement::from_points(&camera.pixels()).taken(now_ns, now_ns);
         let wanted = wanted(&mut random, &task.limits, [&before, &standing]);
-        let step = match law.guard(&measured, wanted.as_ref()) {
+        law.want(wanted);
+        let step = match law.step(&measured, None) {
             Ok(step) => step,
             // From the side, or too small to see.
             Err(_) => return,

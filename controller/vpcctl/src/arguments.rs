@@ -232,7 +232,7 @@ pub struct RecoverArguments {
 /// The command line of `strategy`.
 #[derive(Clone, Debug, Args)]
 pub struct StrategyArguments {
-    /// foresight, previous, knn (or knn2 ... knn64: the mean of that many neighbours), gpr, ibvs.
+    /// foresight, previous, knn (or knn2 ... knn64: the mean of that many neighbours), gpr, ibvs, follow.
     #[arg(value_name = "NAME", value_parser = strategy)]
     pub strategy: (StrategyCode, u32),
 

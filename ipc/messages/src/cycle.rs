@@ -154,6 +154,8 @@ codes! {
         Arrived = 30 => "arrived",
         /// The scene names an arm, and no positions of as many joints came for 0.5 s.
         NoJoints = 31 => "joints unknown",
+        /// The strategy is `follow`, and no program wants a twist.
+        Unwanted = 32 => "no twist is wanted",
     }
 }
 
@@ -302,6 +304,8 @@ codes! {
         Ibvs = 3 => "ibvs",
         /// Whole futures are simulated, and the best one is followed.
         Foresight = 4 => "foresight",
+        /// The nearest allowed twist to that of `vpc/desired` is sent.
+        Follow = 5 => "follow",
     }
 }
 
@@ -458,10 +462,18 @@ message! {
         features_input: u32 [code(InputCode)],
         /// What came from the robot.
         robot_input: u32 [code(InputCode)],
+        /// What came from the program that wants a twist.
+        desired_input: u32 [code(InputCode)],
+        /// Zero.
+        reserved: u32,
         /// Head of the features message that came, also of a refused one; zero if none came.
         features_seen: Stamp,
         /// Head of the robot state that came, also of a refused one; zero if none came.
         robot_seen: Stamp,
+        /// Head of the wanted twist that came, also of a refused one; zero if none came.
+        desired_seen: Stamp,
+        /// The wanted twist, with the strategy `follow`; zero if there is none.
+        desired: [f64; 6] ["m/s, rad/s" finite],
         /// Requests of operators taken since the previous cycle.
         requests: u32,
         /// Releases missed just before this cycle.

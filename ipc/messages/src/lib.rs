@@ -9,6 +9,7 @@
 //! | `vpc/features` | [`Features`] | camera | controller, observers |
 //! | `vpc/twist` | [`TwistCommand`] | controller | camera's robot, observers |
 //! | `vpc/robot` | [`RobotState`] | robot | controller, observers |
+//! | `vpc/desired` | [`DesiredTwist`] | a policy, joystick or planner | controller, observers |
 //! | `vpc/cycles` | [`CycleRecord`] | controller | observers |
 //! | `vpc/snapshots` | [`Snapshot`] | controller | recorders |
 //! | `vpc/requests` | [`Request`] | operators | controller |
@@ -23,6 +24,7 @@
 
 mod codes;
 mod cycle;
+mod desired;
 mod features;
 mod field;
 mod image;
@@ -39,6 +41,7 @@ pub use cycle::{
     ArmBound, Bound, ClockMode, CycleFlags, CycleRecord, ForesightCode, Hold, InputCode,
     MAX_NEIGHBOURS, PATH_PLACES, PhaseCode, RealTime, RecallCode, SolverStatus, StrategyCode,
 };
+pub use desired::{DesiredTwist, MOST_WANTED_NS};
 pub use features::{Features, MAX_POINTS};
 pub use field::{Field, FieldType, Kind, Meaning, Stamp, Struct, Values, ValuesMut, Wire};
 pub use image::{Encoding, ImageHeader, MOST_IMAGE_BYTES};

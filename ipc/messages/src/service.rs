@@ -3,7 +3,8 @@
 use crate::field::Struct;
 use crate::message::{Message, Payload, Qos};
 use crate::{
-    CycleRecord, Features, ImageHeader, Reply, Request, RobotState, Snapshot, TwistCommand,
+    CycleRecord, DesiredTwist, Features, ImageHeader, Reply, Request, RobotState, Snapshot,
+    TwistCommand,
 };
 
 /// One service of the contract.
@@ -36,6 +37,7 @@ pub const SERVICES: &[Service] = &[
     Service::of::<Features>(),
     Service::of::<TwistCommand>(),
     Service::of::<RobotState>(),
+    Service::of::<DesiredTwist>(),
     Service::of::<CycleRecord>(),
     Service::of::<Snapshot>(),
     Service::of::<Request>(),

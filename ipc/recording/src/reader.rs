@@ -8,7 +8,8 @@ use std::path::Path;
 use mcap::records::Record;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use messages::{
-    CycleRecord, Features, Message, Reply, Request, RobotState, Snapshot, TwistCommand,
+    CycleRecord, DesiredTwist, Features, Message, Reply, Request, RobotState, Snapshot,
+    TwistCommand,
 };
 use scene::{FileError, Scene};
 
@@ -31,6 +32,7 @@ pub struct Recording {
     pub features: Vec<Features>,
     pub twist: Vec<TwistCommand>,
     pub robot: Vec<RobotState>,
+    pub desired: Vec<DesiredTwist>,
     pub cycles: Vec<CycleRecord>,
     pub requests: Vec<Request>,
     pub replies: Vec<Reply>,
@@ -207,6 +209,7 @@ impl Recording {
             Features::TOPIC => put(&mut self.features, schema, data),
             TwistCommand::TOPIC => put(&mut self.twist, schema, data),
             RobotState::TOPIC => put(&mut self.robot, schema, data),
+            DesiredTwist::TOPIC => put(&mut self.desired, schema, data),
             CycleRecord::TOPIC => put(&mut self.cycles, schema, data),
             Request::TOPIC => put(&mut self.requests, schema, data),
             Reply::TOPIC => put(&mut self.replies, schema, data),

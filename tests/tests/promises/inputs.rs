@@ -419,6 +419,7 @@ impl World {
             now_ns,
             features,
             robot,
+            desired: Input::Nothing,
             missed: event.missed,
             suspended: event.suspended,
             shutdown: event.shutdown,

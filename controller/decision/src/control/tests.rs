@@ -1,6 +1,6 @@
 //! The whole decision with any inputs; and the law's part of it.
 
-use messages::{RobotState, SolverStatus};
+use messages::{DesiredTwist, RobotState, SolverStatus};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use vpc::Strategy;
@@ -75,6 +75,28 @@ fn robot(now_ns: u64, random: &mut impl Rng) -> Input<RobotState> {
     Input::Message(message)
 }
 
+/// What a policy wants: something all the time, in part nonsense.
+fn desired(now_ns: u64, random: &mut impl Rng) -> Input<DesiredTwist> {
+    let twist = LIMITS.map(|most| most * random.random_range(-2.0..2.0));
+    let mut message = DesiredTwist::until(twist, now_ns + 10 * PERIOD);
+    message.stamp.published_ns = now_ns;
+    match random.random_range(0..40) {
+        0 => message.stamp = nasty_stamp(now_ns, random),
+        1 => message.valid_until_ns = nasty_instant(now_ns, random),
+        2 => message.twist[random.random_range(0..6)] = f64::NAN,
+        3 => {
+            message.twist = message
+                .twist
+                .map(|v| v * random.random_range(-1e300..1e300))
+        }
+        4 => return Input::Refused(nasty_stamp(now_ns, random)),
+        5 => return Input::Failed,
+        6..20 => return Input::Nothing,
+        _ => (),
+    }
+    Input::Message(message)
+}
+
 fn control_with(settings: Settings, rules: Rules) -> ControlStep<'static> {
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     ControlStep::new(&scene, settings, None, rules).unwrap()
@@ -103,8 +125,17 @@ fn control() -> ControlStep<'static> {
 
 #[test]
 fn in_real_time_no_input_whatsoever_panics_or_passes_the_limits() {
+    for strategy in [Strategy::Foresight, Strategy::Follow] {
+        let settings = Settings {
+            strategy,
+            ..Settings::default()
+        };
+        bear_any_input(control_with(settings, rules()));
+    }
+}
+
+fn bear_any_input(mut control: ControlStep) {
     let mut random = ChaCha8Rng::seed_from_u64(1);
-    let mut control = control();
     let mut now_ns = 1 << 40;
     let (mut moving, mut still) = (0, 0);
     for cycle in 0..30_000 {
@@ -132,6 +163,7 @@ fn in_real_time_no_input_whatsoever_panics_or_passes_the_limits() {
             now_ns,
             features: features(now_ns, cycle + 1, &mut random),
             robot: robot(now_ns, &mut random),
+            desired: desired(now_ns, &mut random),
             missed: match random.random_range(0..20) {
                 0 => random.random(),
                 _ => 0,
@@ -175,6 +207,7 @@ fn a_rehearsal_runs_the_law_and_changes_nothing() {
             now_ns,
             features: features(now_ns, cycle + 1, &mut random),
             robot: robot(now_ns, &mut random),
+            desired: Input::Nothing,
             missed: 0,
             suspended: false,
             shutdown: false,
@@ -328,6 +361,7 @@ fn a_camera_that_lost_the_pattern_goes_back_where_it_may() {
                     false => Input::Message(features),
                 },
                 robot: Input::Nothing,
+                desired: Input::Nothing,
                 missed: 0,
                 suspended: false,
                 shutdown: false,
@@ -490,4 +524,71 @@ fn on_a_live_robot_a_point_that_leaps_is_not_believed_at_once() {
         assert_eq!(step(k, leapt), Some(Hold::Mixed), "{k}");
     }
     assert_eq!(step(7, leapt), None);
+}
+
+#[test]
+fn a_wanted_twist_is_followed_while_it_counts() {
+    const WANTED: [f64; 6] = [0.01, -0.02, 0.015, 0.03, 0.0, -0.05];
+    let steps = |strategy, wish: &dyn Fn(u64) -> Input<DesiredTwist>| -> Vec<Decision> {
+        let settings = Settings {
+            strategy,
+            ..Settings::default()
+        };
+        let rules = Rules {
+            valid_ns: None,
+            ..rules()
+        };
+        let mut control = control_with(settings, rules);
+        let decisions = (1..=8).map(|k| {
+            let mut features = Features::new(&FAR, k * PERIOD);
+            (features.stamp.sequence, features.stamp.published_ns) = (k, k * PERIOD);
+            let inputs = Inputs {
+                now_ns: k * PERIOD,
+                features: Input::Message(features),
+                robot: Input::Nothing,
+                desired: wish(k),
+                missed: 0,
+                suspended: false,
+                shutdown: false,
+            };
+            control
+                .decide(&inputs, &mut CycleRecord::default())
+                .decision
+        });
+        decisions.collect()
+    };
+    let wanted = |k: u64, until_ns| {
+        let mut desired = DesiredTwist::until(WANTED, until_ns);
+        desired.stamp.published_ns = k * PERIOD;
+        Input::Message(desired)
+    };
+    let once = |k| match k {
+        2 => wanted(k, 5 * PERIOD),
+        _ => Input::Nothing,
+    };
+    let followed = steps(Strategy::Follow, &once);
+    let holds: Vec<_> = followed.iter().map(|decision| decision.hold).collect();
+    let none = Some(Hold::Unwanted);
+    let expected = [none, None, None, None, none, none, none, none];
+    assert_eq!(holds, expected);
+    for decision in &followed[1..4] {
+        // To the last bit.
+        assert_eq!(decision.twist, WANTED);
+        assert_eq!(decision.state, TwistState::Moving);
+    }
+    // One that is refused ends what was wanted before; one from long ago counts for nothing.
+    let refused = |k| match k {
+        3 => Input::Refused(Stamp::default()),
+        _ => once(k),
+    };
+    assert_eq!(steps(Strategy::Follow, &refused)[2].hold, none);
+    let late = |k: u64| match k {
+        8 => wanted(1, 2 * PERIOD),
+        _ => Input::Nothing,
+    };
+    assert_eq!(steps(Strategy::Follow, &late)[7].hold, none);
+    // Other strategies do not listen.
+    let deaf = [&once as &dyn Fn(u64) -> _, &|_| Input::Nothing];
+    let [with, without] = deaf.map(|wish| steps(Strategy::Previous, wish));
+    assert_eq!(with, without);
 }

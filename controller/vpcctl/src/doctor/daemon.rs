@@ -241,6 +241,9 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::NoWay => {
             "give a memory, one of more trajectories, or more law.foresight_steps; or bring the camera elsewhere by hand"
         }
+        Hold::Unwanted => {
+            "start the program that publishes vpc/desired; or `vpcctl strategy foresight`, for the goal"
+        }
         Hold::Unclean => "find out why it ended (its log, `journalctl`), then `vpcctl arm`",
         Hold::Transport | Hold::BadTwist | Hold::Solver | Hold::Shutdown => "see the daemon's log",
     }

@@ -15,5 +15,6 @@ pub mod image;
 pub mod names;
 pub mod observer;
 pub mod operator;
+pub mod policy;
 pub mod robot;
 pub mod status;

@@ -100,6 +100,8 @@ class StrategyCode(Code):
     IBVS = 3, "ibvs"
     # Whole futures are simulated, and the best one is followed.
     FORESIGHT = 4, "foresight"
+    # The nearest allowed twist to that of `vpc/desired` is sent.
+    FOLLOW = 5, "follow"
 
 
 class Hold(Code):
@@ -171,6 +173,8 @@ class Hold(Code):
     ARRIVED = 30, "arrived"
     # The scene names an arm, and no positions of as many joints came for 0.5 s.
     NO_JOINTS = 31, "joints unknown"
+    # The strategy is `follow`, and no program wants a twist.
+    UNWANTED = 32, "no twist is wanted"
 
 
 class ForesightCode(Code):
@@ -487,6 +491,31 @@ class RobotState(Message):
         return "vpc/RobotState/75ed6b02"
 
 
+class DesiredTwist(Message):
+    """The camera velocity that another program wants. With the strategy `follow` the controller sends
+    the nearest twist to it that is allowed. Service `vpc/desired`."""
+
+    _fields_ = [
+        # Head.
+        ("stamp", Stamp),
+        # It counts until this instant, CLOCK_MONOTONIC, but for no more than 0.5 s after its
+        # publication; then the camera brakes. Unit: ns.
+        ("valid_until_ns", ctypes.c_uint64),
+        # Camera velocity in the camera frame (x right, y down, z forward): vx vy vz wx wy wz. Unit:
+        # m/s, rad/s.
+        ("twist", ctypes.c_double * 6),
+    ]
+
+    if TYPE_CHECKING:
+        stamp: Stamp
+        valid_until_ns: int
+        twist: ctypes.Array[ctypes.c_double]
+
+    @staticmethod
+    def type_name() -> str:
+        return "vpc/DesiredTwist/d0aad7e1"
+
+
 class CycleRecord(Message):
     """Telemetry of one cycle. Numbers of the control law are NaN if it did not run. Service
     `vpc/cycles`."""
@@ -596,10 +625,18 @@ class CycleRecord(Message):
         ("features_input", ctypes.c_uint32),
         # What came from the robot. Code: `InputCode`.
         ("robot_input", ctypes.c_uint32),
+        # What came from the program that wants a twist. Code: `InputCode`.
+        ("desired_input", ctypes.c_uint32),
+        # Zero.
+        ("reserved", ctypes.c_uint32),
         # Head of the features message that came, also of a refused one; zero if none came.
         ("features_seen", Stamp),
         # Head of the robot state that came, also of a refused one; zero if none came.
         ("robot_seen", Stamp),
+        # Head of the wanted twist that came, also of a refused one; zero if none came.
+        ("desired_seen", Stamp),
+        # The wanted twist, with the strategy `follow`; zero if there is none. Unit: m/s, rad/s.
+        ("desired", ctypes.c_double * 6),
         # Requests of operators taken since the previous cycle.
         ("requests", ctypes.c_uint32),
         # Releases missed just before this cycle.
@@ -671,8 +708,12 @@ class CycleRecord(Message):
         allocations: int
         features_input: int
         robot_input: int
+        desired_input: int
+        reserved: int
         features_seen: Stamp
         robot_seen: Stamp
+        desired_seen: Stamp
+        desired: ctypes.Array[ctypes.c_double]
         requests: int
         missed: int
         flags: int
@@ -685,7 +726,7 @@ class CycleRecord(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/81e92fd8"
+        return "vpc/CycleRecord/2ea260e6"
 
 
 class Snapshot(Message):
@@ -856,6 +897,9 @@ CHECKS: dict[type, dict[str, Any]] = {
         "dq": "",
         "commands_in_time": "",
     },
+    DesiredTwist: {
+        "twist": "",
+    },
     CycleRecord: {
         "clock": ClockMode,
         "status": SolverStatus,
@@ -873,6 +917,8 @@ CHECKS: dict[type, dict[str, Any]] = {
         "phase": PhaseCode,
         "features_input": InputCode,
         "robot_input": InputCode,
+        "desired_input": InputCode,
+        "desired": "",
         "arm_bound": ArmBound,
         "elbow": "",
     },
@@ -901,6 +947,7 @@ SERVICES = {
     "vpc/features": Service(Features, 1, 64, 8, 1),
     "vpc/twist": Service(TwistCommand, 0, 64, 8, 1),
     "vpc/robot": Service(RobotState, 1, 64, 8, 1),
+    "vpc/desired": Service(DesiredTwist, 0, 64, 8, 1),
     "vpc/cycles": Service(CycleRecord, 0, 1024, 8, 1),
     "vpc/snapshots": Service(Snapshot, 1, 16, 4, 1),
     "vpc/requests": Service(Request, 0, 16, 8, 8),

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, overload
 
-from .messages import CycleRecord, Features, Reply, Request, RobotState, Snapshot, TwistCommand
+from .messages import CycleRecord, DesiredTwist, Features, Reply, Request, RobotState, Snapshot, TwistCommand
 from .ports import Publisher, Subscriber
 
 
@@ -22,6 +22,9 @@ class Opening:
 
     @overload
     def publisher(self, service: Literal["vpc/robot"]) -> Publisher[RobotState]: ...
+
+    @overload
+    def publisher(self, service: Literal["vpc/desired"]) -> Publisher[DesiredTwist]: ...
 
     @overload
     def publisher(self, service: Literal["vpc/cycles"]) -> Publisher[CycleRecord]: ...
@@ -50,6 +53,9 @@ class Opening:
 
     @overload
     def subscribe(self, service: Literal["vpc/robot"], buffer: int | None = None) -> Subscriber[RobotState]: ...
+
+    @overload
+    def subscribe(self, service: Literal["vpc/desired"], buffer: int | None = None) -> Subscriber[DesiredTwist]: ...
 
     @overload
     def subscribe(self, service: Literal["vpc/cycles"], buffer: int | None = None) -> Subscriber[CycleRecord]: ...

@@ -313,7 +313,7 @@ class OperatorPorts(_Closes):
         return self._asked(Action.DISARM, patience_s)
 
     def strategy(self, name: str, neighbours: int = 0, patience_s: float = 1.0) -> Reply:
-        """Another strategy: previous, knn with 1 to 64 neighbours, gpr, ibvs."""
+        """Another strategy: previous, knn with 1 to 64 neighbours, gpr, ibvs, foresight, follow."""
         try:
             strategy = StrategyCode[name.upper()]
         except (AttributeError, KeyError):

@@ -4,7 +4,9 @@ use std::ffi::CStr;
 use std::ptr::{null, null_mut};
 
 use ipc::ControllerPorts;
-use messages::{Encoding, Features, ImageHeader, RobotState, TwistCommand, TwistState};
+use messages::{
+    DesiredTwist, Encoding, Features, ImageHeader, RobotState, TwistCommand, TwistState,
+};
 use vpcclient::boundary::{Fault, enter, vpc_message};
 use vpcclient::camera::{vpc_camera_close, vpc_camera_open, vpc_camera_publish};
 use vpcclient::domain::{vpc_domain_join, vpc_domain_leave};
@@ -15,6 +17,7 @@ use vpcclient::image::{
 };
 use vpcclient::names::vpc_hold_name;
 use vpcclient::operator::vpc_stop;
+use vpcclient::policy::{vpc_policy_close, vpc_policy_open, vpc_policy_want};
 use vpcclient::robot::{
     vpc_robot_close, vpc_robot_open, vpc_robot_publish, vpc_robot_twist, vpc_twist_in_force,
 };
@@ -132,6 +135,30 @@ fn a_robot_lives_beside_a_camera_of_another_process() {
             ([0.1, 0.2, 0.3], 7)
         );
         assert_eq!(vpc_robot_close(robot), Status::Ok);
+        assert_eq!(vpc_domain_leave(domain), Status::Ok);
+    }
+}
+
+#[test]
+fn a_policy_publishes_what_it_wants() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().to_str().unwrap().to_owned() + "\0";
+    let peer = ipc::Domain::join(directory.path()).unwrap();
+    let mut controller = peer.subscriber::<DesiredTwist>(1).unwrap();
+    let (mut domain, mut policy, mut second) = (null_mut(), null_mut(), null_mut());
+    // SAFETY: handles and pointers are used as the header says.
+    unsafe {
+        let joined = vpc_domain_join(path.as_ptr().cast(), &mut domain);
+        assert_eq!(joined, Status::Ok, "{}", words());
+        assert_eq!(vpc_policy_open(domain, &mut policy), Status::Ok);
+        assert_eq!(vpc_policy_open(domain, &mut second), Status::Taken);
+        let (mut wanted, never) = ([0.25; 6], [f64::NAN; 6]);
+        wanted[5] = -0.5;
+        assert_eq!(vpc_policy_want(policy, &never, 7), Status::Argument);
+        assert_eq!(vpc_policy_want(policy, &wanted, 7), Status::Ok);
+        let heard = controller.latest().unwrap().unwrap();
+        assert_eq!((heard.twist, heard.valid_until_ns), (wanted, 7));
+        assert_eq!(vpc_policy_close(policy), Status::Ok);
         assert_eq!(vpc_domain_leave(domain), Status::Ok);
     }
 }
