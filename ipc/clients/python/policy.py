@@ -13,6 +13,7 @@ import argparse
 import select
 import struct
 import sys
+import time
 
 import vpc_client
 
@@ -32,8 +33,9 @@ class Pad:
         self.buttons = [0] * 6
 
     def read(self):
-        """Takes what waits, for at most a period; False at the end."""
-        while select.select([self.file], [], [], EVERY_S)[0]:
+        """Takes what comes in a period; False at the end."""
+        end = time.monotonic() + EVERY_S
+        while (left := end - time.monotonic()) > 0 and select.select([self.file], [], [], left)[0]:
             event = self.file.read(EVENT.size)
             if len(event) < EVENT.size:
                 return False

@@ -4,6 +4,7 @@
 
 mod bridge;
 mod cameras;
+mod policy;
 
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
