@@ -274,9 +274,9 @@ fn is_armed(record: &CycleRecord) -> bool {
 
 /// What holds, unless it is how vpcd began, or an operator or a shutdown asked for it.
 fn unwanted(record: &CycleRecord) -> Option<Hold> {
-    use Hold::{NotArmed, Operator, Shutdown, Unclean};
+    use Hold::{NotArmed, Operator, Shutdown, Unclean, Unwanted};
     let hold = record.hold()?;
-    (!matches!(hold, NotArmed | Operator | Shutdown | Unclean)).then_some(hold)
+    (!matches!(hold, NotArmed | Operator | Shutdown | Unclean | Unwanted)).then_some(hold)
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use ipc::ReceiveError;
 use messages::{ClockMode, CycleRecord, ForesightCode, Hold, PhaseCode, RealTime, Reply};
-use messages::{SolverStatus, TwistState};
+use messages::{SolverStatus, StrategyCode, TwistState};
 use program::Exit;
 use serde_json::{Value, json};
 
@@ -262,10 +262,10 @@ impl Status {
 
     fn cycle_text(&self, last: &CycleRecord, strategy: &str, colours: bool) -> String {
         let view = &self.view;
-        let target = if last.way_point_count > 0 {
-            "way point"
-        } else {
-            "goal"
+        let target = match last.way_point_count {
+            _ if last.strategy == StrategyCode::Follow.code() => "wanted twist",
+            0 => "goal",
+            _ => "way point",
         };
         let clock = word(ClockMode::from_code(last.clock));
         let rate = view.rate_hz().unwrap_or(f64::NAN);
