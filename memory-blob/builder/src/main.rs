@@ -13,8 +13,6 @@ use memory_blob::{MemoryFile, Report};
 use memory_builder::settings::BuildSettings;
 use memory_builder::{memory, start};
 use program::Exit;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 use scene::Scene;
 use toml_schema::Document;
 use vpc::Task;
@@ -223,9 +221,7 @@ fn run_verify(path: &Path, scene: Option<&Path>) -> anyhow::Result<()> {
 fn run_starts(path: &Path, output: &Path, count: usize, seed: u64) -> anyhow::Result<()> {
     let scene = Scene::read(path)?;
     let task = Task::new(&scene)?;
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let starts = (0..count).map(|_| start::valid(&scene, &task, None, &mut rng));
-    let starts = starts.collect::<Result<Vec<_>, _>>()?;
+    let starts = start::drawn(&scene, &task, count, seed)?;
     let (scene, file) = (path.display(), output.display());
     fs::write(output, scene::starts_csv(&starts))
         .with_context(|| format!("{file}: cannot write"))?;

@@ -1,7 +1,7 @@
 //! Random starts: poses of the object in the camera frame, drawn from the scene's region.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
-use rand::RngExt;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
 use vpc::features::signed_area;
@@ -99,6 +99,17 @@ pub fn valid(
     } else {
         Err(NoStart)
     }
+}
+
+/// The first `count` valid starts of a seed, from the whole region: those of `vpc-memory starts`.
+///
+/// # Errors
+/// [`NoStart`] where the region holds none.
+pub fn drawn(scene: &Scene, task: &Task, count: usize, seed: u64) -> Result<Vec<Pose>, NoStart> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    (0..count)
+        .map(|_| valid(scene, task, None, &mut rng))
+        .collect()
 }
 
 /// A pose as the point of R^6 that mixtures are fitted to.
