@@ -319,7 +319,7 @@ fn has_converged(record: &CycleRecord) -> bool {
 }
 
 /// The way point that a cycle tracked, px.
-pub(crate) fn way_point(record: &CycleRecord) -> Option<Vec<[f64; 2]>> {
+pub fn way_point(record: &CycleRecord) -> Option<Vec<[f64; 2]>> {
     let pairs = record.way_point.as_chunks().0.iter().copied();
     let points = pairs.take(record.way_point_count as usize).collect();
     (record.way_point_count > 0).then_some(points)

@@ -103,6 +103,12 @@ impl<'m> Simulated<'m> {
         record
     }
 
+    /// The camera obeys another command than the last decision's, from `at_ns` after the begin of
+    /// the run on.
+    pub fn sent(&mut self, twist: &[f64; 6], at_ns: u64) {
+        self.control.obeyed(twist, BEGIN_NS + at_ns);
+    }
+
     /// Rehearses the decision at that instant, as the loop does just before a cycle's release.
     pub fn rehearse(&mut self, now_ns: u64) {
         self.control.rehearse(now_ns);

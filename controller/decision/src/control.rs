@@ -343,6 +343,16 @@ impl<'m> ControlStep<'m> {
         self.law.forget_sent();
     }
 
+    /// The camera obeys this command from `at_ns` on, not the one of the last decision.
+    pub fn obeyed(&mut self, twist: &[f64; 6], at_ns: u64) {
+        if twist != self.law.standing() {
+            // The law's prediction is of a motion that does not happen.
+            self.gate.mark_gap();
+        }
+        self.law.sent_late(at_ns);
+        self.law.sent(twist, at_ns);
+    }
+
     /// What gate and law would send.
     fn propose(&mut self, inputs: &Inputs, record: &mut CycleRecord) -> Answer {
         match self.gate.judge(&inputs.features, inputs.now_ns) {

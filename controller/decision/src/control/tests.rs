@@ -592,3 +592,34 @@ fn a_wanted_twist_is_followed_while_it_counts() {
     let [with, without] = deaf.map(|wish| steps(Strategy::Previous, wish));
     assert_eq!(with, without);
 }
+
+#[test]
+fn the_law_believes_that_the_camera_obeys_what_it_is_told() {
+    let now_ns = 1 << 40;
+    let mut message = Features::new(&FAR, now_ns);
+    (message.stamp.sequence, message.stamp.published_ns) = (1, now_ns);
+    let inputs = Inputs {
+        now_ns,
+        features: Input::Message(message),
+        robot: Input::Nothing,
+        desired: Input::Nothing,
+        missed: 0,
+        suspended: false,
+        shutdown: false,
+    };
+    let at_once = Rules {
+        ramp_ns: 0,
+        ..rules()
+    };
+    let mut control = control_with(Settings::default(), at_once);
+    let decided = control.decide(&inputs, &mut CycleRecord::default());
+    let twist = decided.decision.twist;
+    assert_ne!(twist, [0.0; 6]);
+    let state = control.state();
+    control.obeyed(&twist, now_ns);
+    assert_eq!(control.state(), state);
+    let expected = control.law().expected(now_ns + PERIOD);
+    control.obeyed(&twist.map(|v| 0.5 * v), now_ns);
+    assert!(expected.is_some());
+    assert_ne!(control.law().expected(now_ns + PERIOD), expected);
+}
