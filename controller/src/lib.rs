@@ -1,10 +1,18 @@
 //! `vpcd`, the daemon: configuration, the real-time loop, telemetry, shutdown. The control law is
 //! the crate `vpc`; what travels through shared memory is the crate `messages`, and its
-//! transport the crate `ipc` (tour and decisions: `README.md`).
+//! transport the crate `ipc` (decisions: `README.md`).
 //!
 //! A cycle receives, checks order and age, runs the law, asks the supervisor what may go out, and
 //! sends. The crate [`decision`] decides; [`cycle`] receives before and sends after it, and
 //! [`mod@replay`] repeats its decisions.
+//!
+//! - [`daemon`]: from the command line to the exit code
+//! - [`config`]: TOML and flags to a checked [`config::Config`]
+//! - [`cycle`]: the loop: wake, receive, decide, send, rehearse; [`clock`], [`pll`] set its releases
+//! - [`decision`]: decide: gate, law, robot watch, supervisor; a crate of pure functions, which a
+//!   replay repeats
+//! - [`telemetry`]: the ordinary thread: publishes records, writes the log, feeds the watchdog
+//! - [`flight`], [`mod@replay`]: the flight record and its replay (`FLIGHT.md`)
 #![deny(unsafe_code)]
 
 pub mod arguments;

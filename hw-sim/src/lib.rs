@@ -7,6 +7,17 @@
 //! process. It steps a [`cell::Cell`]: the [`free::FreeCell`], which moves as told, or the
 //! [`rig::Rig`], a Panda. Cells know neither clocks nor ports; the table of results steps them,
 //! too.
+//!
+//! - [`emulator`]: the loop: run after run, expose, publish, obey, record
+//! - [`cell`]: camera, carrier and referee in simulated time: [`free`], a free-flying camera;
+//!   [`rig`], a robot with camera and task
+//! - [`robot`]: [`robot::arm`], [`robot::described`] (by a file) and [`robot::bridge`] (30 Hz to
+//!   1 kHz), [`robot::sequence`] (the task), [`robot::inspector`] (the arm's referee)
+//! - [`camera`], [`mod@pose`]: projection; exact rigid motion under a constant twist; [`motion`], of
+//!   the pattern
+//! - [`eye`]: the camera in the robot's hand: features or rendered images, late and lossy
+//! - [`referee`]: arrival and violations, from the true poses; [`occlusion`], [`painted`]: distances
+//! - `examples/own_robot/`: the smallest bridge to a robot of your own
 #![forbid(unsafe_code)]
 
 pub mod camera;
