@@ -3,8 +3,9 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ::vpc::{Settings, Strategy};
+use decision::Input;
 use memory_blob::MemoryFile;
-use messages::{ClockMode, Features};
+use messages::{ClockMode, DesiredTwist, Features};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyString};
 use self_cell::self_cell;
@@ -156,11 +157,13 @@ impl Controller {
     /// `points`: image points (u right, v down) in the order of the pattern, px, shape (N, 2); None
     /// where no frame came. `time_s`: when the command takes effect, s after the begin of the run,
     /// never less than before. `visible`: N flags, which points the frame shows; the others may
-    /// have any value. `exposed_s`: when the frame was exposed; None: at `time_s`.
+    /// have any value. `exposed_s`: when the frame was exposed; None: at `time_s`. `wanted`: with
+    /// the strategy "follow", the twist that is wanted (m/s and rad/s, camera frame, shape (6,));
+    /// None: the camera brakes.
     ///
     /// Nothing is raised where the points cannot be trusted: the step then has a `hold`, and its
     /// twist is zero or a brake. Raises ValueError for another shape, or a time out of range.
-    #[pyo3(signature = (points, time_s, visible=None, exposed_s=None))]
+    #[pyo3(signature = (points, time_s, visible=None, exposed_s=None, wanted=None))]
     fn step(
         &self,
         py: Python<'_>,
@@ -168,7 +171,9 @@ impl Controller {
         time_s: f64,
         visible: Option<Vec<bool>>,
         exposed_s: Option<f64>,
+        wanted: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Step> {
+        let wanted = wanted.map(array::twist).transpose()?;
         let now_ns = nanoseconds("time_s", time_s)?;
         let exposed_ns = exposed_s.map_or(Ok(now_ns), |s| nanoseconds("exposed_s", s))?;
         let points = points.map(|points| array::rows("points", points, Some(self.points)));
@@ -189,7 +194,13 @@ impl Controller {
                 running.frames += 1;
                 frame.stamp.sequence = running.frames;
             }
-            let inputs = Simulated::received(frame, now_ns);
+            let mut inputs = Simulated::received(frame, now_ns);
+            if let Some(twist) = wanted {
+                // For this step alone.
+                let mut desired = DesiredTwist::until(twist, inputs.now_ns + 1);
+                desired.stamp.published_ns = inputs.now_ns;
+                inputs.desired = Input::Message(desired);
+            }
             let daemon = &mut running.daemon;
             daemon.with_dependent_mut(|_, daemon| daemon.decide(&inputs))
         });

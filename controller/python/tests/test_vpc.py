@@ -136,6 +136,25 @@ def test_another_command_than_the_step_is_taken_into_account() -> None:
     assert not np.array_equal(after[0].twist, after[1].twist)
 
 
+def test_a_wanted_twist_passes_to_the_bit_or_keeps_the_points_in_sight() -> None:
+    controller = vpc.Controller(scene, strategy="follow")
+    camera = vpc.FreeCamera(scene, starts[0])
+    harmless, hostile = 1e-3 * np.array([1, -2, 3, 4, -5, 6]), np.array([0, 9, 0, 0, 0, 0.0])
+    for wanted in [harmless] + 90 * [hostile] + 90 * [-hostile]:
+        step = controller.step(camera.points, camera.time_s, wanted=wanted)
+        assert step.state == "moving" and np.all(np.abs(step.twist) <= scene.velocity_limits)
+        assert wanted is not harmless or np.array_equal(step.twist, wanted)
+        camera.move(step.twist)
+    assert camera.referee is None, camera.referee
+    for _ in range(10):
+        step = controller.step(camera.points, camera.time_s)
+        assert step.hold == "no twist is wanted"
+        camera.move(step.twist)
+    assert not step.twist.any() and camera.referee is None
+    with raises(ValueError, "twist = [NaN, 0.0, 0.0, 0.0, 0.0, 0.0]; allowed: six finite numbers"):
+        controller.step(camera.points, camera.time_s, wanted=[np.nan, 0, 0, 0, 0, 0])
+
+
 def test_starts_are_those_of_vpc_memory() -> None:
     with tempfile.TemporaryDirectory() as place:
         out = Path(place, "starts.csv")
