@@ -9,8 +9,8 @@ use controller::loaded::Loaded;
 use controller::replay::{Difference, ReplayError, Report, replay};
 use decision::{ControlStep, Input, Inputs, Rules, snapshot};
 use messages::{
-    Action, CycleFlags, CycleRecord, Features, Hold, InputCode, RecallCode, Request, RobotState,
-    Stamp, StrategyCode, TwistState,
+    Action, CycleFlags, CycleRecord, DesiredTwist, Features, Hold, InputCode, RecallCode, Request,
+    RobotState, Stamp, StrategyCode, TwistState,
 };
 use messages::{ValuesMut, Wire};
 use rand::{RngExt, SeedableRng};
@@ -142,6 +142,8 @@ impl<'m> Flight<'m> {
         record.stamp.data_ns = inputs.now_ns - 1000;
         record.receive_ns = 1000;
         self.control.decide(&inputs, &mut record);
+        record.step_ns = cycle % 7 * 1_000_000;
+        self.control.sent_at(inputs.now_ns + record.step_ns);
         if cycle.is_multiple_of(97) {
             self.control.unsent();
         } else {
@@ -172,6 +174,7 @@ fn recording(ring: &Ring) -> Recording {
     Recording {
         features: ring.cycles().filter_map(|c| c.features).collect(),
         robot: ring.cycles().filter_map(|c| c.robot).collect(),
+        desired: ring.cycles().filter_map(|c| c.desired).collect(),
         cycles: ring.cycles().map(|c| c.record).collect(),
         replies: ring.replies().copied().collect(),
         snapshots: ring.snapshots().copied().collect(),
@@ -222,6 +225,7 @@ impl World {
             (StrategyCode::Gpr, 0),
             (StrategyCode::Ibvs, 0),
             (StrategyCode::Foresight, 0),
+            (StrategyCode::Follow, 0),
             // Refused.
             (StrategyCode::Knn, 0),
         ];
@@ -282,6 +286,14 @@ impl World {
         let mut state = RobotState::free_camera([0.0, 0.1, 0.5], [0.0, 0.2, 3.0], self.now_ns);
         state.stamp.sequence = cycle;
         state.stamp.published_ns = self.now_ns;
+        let twist = [0.2, -0.1, 0.3, 0.1, -0.4, 0.5].map(|v| v * random.random_range(-1.0..1.0));
+        let mut wish = DesiredTwist::until(twist, self.now_ns + 100_000_000);
+        (wish.stamp.sequence, wish.stamp.published_ns) = (cycle, self.now_ns);
+        let desired = match random.random_range(0..10) {
+            0..5 => Input::Nothing,
+            5 => Input::Refused(wish.stamp),
+            _ => Input::Message(wish),
+        };
         Inputs {
             now_ns: self.now_ns,
             features,
@@ -289,6 +301,7 @@ impl World {
                 0 => Input::Nothing,
                 _ => Input::Message(state),
             },
+            desired,
             missed: u32::from(random.random_range(0..100) == 0),
             suspended: false,
             shutdown: cycle == CYCLES,
@@ -377,10 +390,9 @@ fn a_run_with_one_pixel_one_bit_away_is_another() {
 
 /// Fields that say what was measured, not what was decided: a replay has nothing to compare them
 /// with. Damage of a file is seen by its checksums.
-const MEASURED: [&str; 15] = [
+const MEASURED: [&str; 14] = [
     "clock",
     "wake_latency_ns",
-    "step_ns",
     "send_ns",
     "overruns",
     "features_age_ns",
@@ -397,13 +409,16 @@ const MEASURED: [&str; 15] = [
 
 /// Fields that say what was received: changed, they show in a later cycle at the latest, or nothing
 /// is found by them.
-const RECEIVED: [&str; 9] = [
+const RECEIVED: [&str; 12] = [
     "stamp",
     "features_input",
     "robot_input",
+    "desired_input",
     "receive_ns",
+    "step_ns",
     "features_seen",
     "robot_seen",
+    "desired_seen",
     "requests",
     "flags",
     "cycle",
@@ -482,9 +497,13 @@ fn the_last_bit_of_any_number_that_was_decided_is_missed() {
             if RECEIVED.contains(&field) {
                 let skips = |report: &Report| report.skipped > skipped_at_begin(&whole, from);
                 let is_seen = outcome.as_ref().map_or(true, skips);
-                // Nobody looks at the exposure of a message that was refused.
-                let is_refused = record.features_input == InputCode::Refused.code();
-                let is_moot = is_refused && field == "features_seen";
+                // Nobody looks at the exposure, or at a wish, of a message that was refused.
+                let is_refused = |code: u32| code == InputCode::Refused.code();
+                let is_moot = match field {
+                    "features_seen" => is_refused(record.features_input),
+                    "desired_seen" => is_refused(record.desired_input),
+                    _ => false,
+                };
                 assert!(is_seen || is_moot, "{field}: {outcome:?}");
             } else {
                 assert_eq!(difference(outcome).cycle, record.cycle, "{field}");
@@ -575,6 +594,7 @@ fn successive_daemons_are_replayed_each_from_its_start() {
     let second = recording(&bench.fly_from(3600 * BEGIN_NS, 300, 300, None));
     both.features.extend(second.features);
     both.robot.extend(second.robot);
+    both.desired.extend(second.desired);
     both.cycles.extend(second.cycles);
     both.snapshots.extend(second.snapshots);
     both.replies.extend(second.replies);
