@@ -17,6 +17,8 @@ const WHEEL: Environment = Environment {
         "mypy>=2,<3",
         "numpy>=2,<3",
         "pandas>=2.2,<4",
+        "proxsuite==0.8.0",
+        "scipy==1.17.1",
     ],
 };
 

@@ -155,6 +155,13 @@ def test_a_wanted_twist_passes_to_the_bit_or_keeps_the_points_in_sight() -> None
         controller.step(camera.points, camera.time_s, wanted=[np.nan, 0, 0, 0, 0, 0])
 
 
+def test_a_guarded_camera_keeps_its_points_where_a_barrier_is_tried() -> None:
+    said = python(ROOT / "tests/peers/guardian.py", "--starts", 2, "--cycles", 100)
+    rows = {words[0]: words[1:] for words in map(str.split, said.splitlines()[1:])}
+    deepest_px, changed = rows["follow"][:2]
+    assert float(deepest_px) < 1 and changed == "0" and rows.keys() >= {"obeys", "CBF-QP"}, said
+
+
 def test_starts_are_those_of_vpc_memory() -> None:
     with tempfile.TemporaryDirectory() as place:
         out = Path(place, "starts.csv")
