@@ -11,12 +11,13 @@ use crate::check_bridge::CheckBridgeArguments;
 use crate::init::InitArguments;
 use crate::plot::PlotArguments;
 use crate::record::RecordArguments;
+use crate::teach::TeachArguments;
 use crate::units::seconds;
 
 /// Watch and command vpcd, the visual predictive controller.
 ///
 /// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something must be fixed
-/// (doctor, check-bridge); 2 the request was refused, or files are there already (init); 3 no
+/// (doctor, check-bridge); 2 the request was refused, or files are there already (init), or what is seen is no goal (teach); 3 no
 /// daemon; 4 the daemon does not answer; 5 disarmed (status); 64 command line; 65 a file is wrong;
 /// 66 a file is missing; 69 shared memory, slot or address not available; 70 failure of vpcctl.
 #[derive(Clone, Debug, Parser)]
@@ -65,6 +66,8 @@ pub enum Command {
     /// Play vpcd to the program that carries out twists, and judge what it reports: the camera
     /// moves some centimetres along its x axis and back.
     CheckBridge(CheckBridgeArguments),
+    /// Write a scene whose goal is what the camera sees now. Hold the camera there, still.
+    Teach(TeachArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),
     /// Serve a live view to browsers on this machine, or to Foxglove.

@@ -27,6 +27,7 @@ pub mod server;
 pub mod settings;
 pub mod status;
 pub mod stop;
+pub mod teach;
 pub mod units;
 pub mod view;
 pub mod watch;
@@ -116,6 +117,7 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             let watcher = Watcher::open(&directory)?;
             return serve::run(watcher, plane, with.listen, with.control);
         }
+        Command::Teach(with) => (teach::teach(&directory, with)?, Exit::Ok),
         Command::Init(with) => (init::init(with)?, Exit::Ok),
         Command::Completions { shell } => {
             let script = manual::completions(*shell);

@@ -58,7 +58,7 @@ pub use mask::write_mask;
 #[cfg(feature = "file")]
 pub use starts::{parse_starts, read_starts, starts_csv};
 #[cfg(feature = "file")]
-pub use text::with_mask;
+pub use text::{with_mask, with_value};
 #[cfg(feature = "file")]
 pub use toml_schema::FileError;
 

@@ -1,4 +1,4 @@
-//! The text of a scene file, with other occlusions.
+//! The text of a scene file, with other occlusions or other values.
 
 /// The text of a scene file with its occlusions replaced by one mask; every other table stays as it
 /// is written.
@@ -32,6 +32,38 @@ pub fn with_mask(text: &str, mask: &str) -> String {
     )
 }
 
+/// The text of a scene file with another value of a key of a table; everything else stays as it is
+/// written, comments too. `None` where the key has no line of its own in the table.
+pub fn with_value(text: &str, table: &str, key: &str, value: &str) -> Option<String> {
+    let mut lines = text.lines();
+    let mut kept = Vec::new();
+    let mut is_here = false;
+    for line in lines.by_ref() {
+        is_here = header(line).map_or(is_here, |name| name == table);
+        let assigned = line.split_once('=').filter(|(name, _)| name.trim() == key);
+        let Some((_, old)) = assigned.filter(|_| is_here) else {
+            kept.push(line.to_owned());
+            continue;
+        };
+        let (code, comment) = old.split_once('#').unwrap_or((old, ""));
+        let mut new = format!("{key} = {value}");
+        if !comment.is_empty() {
+            new += &format!("  #{comment}");
+        }
+        kept.push(new);
+        // An array may go on.
+        let open = |code: &str| code.matches('[').count() as i64 - code.matches(']').count() as i64;
+        let mut depth = open(code);
+        while depth > 0 {
+            let line = lines.next()?;
+            depth += open(line.split_once('#').map_or(line, |(code, _)| code));
+        }
+        kept.extend(lines.map(str::to_owned));
+        return Some(kept.join("\n") + "\n");
+    }
+    None
+}
+
 /// The name in the header of a table or of an array of tables.
 fn header(line: &str) -> Option<&str> {
     let line = line.split_once('#').map_or(line, |(code, _)| code).trim();
@@ -60,6 +92,25 @@ mod tests {
         assert_eq!(kept.trim_end(), head.trim_end());
         assert_eq!(tail.matches("[[occlusion]]").count(), 1);
         assert!(tail.ends_with("mask = \"areas.png\"\n"));
+    }
+
+    #[test]
+    fn a_value_is_replaced_and_nothing_else() {
+        let text =
+            "[a]\nx = 1\n[goal] # here\n# of old\nx = [1, # one\n  [2]]\ny = 3  # y\n[b]\nx = 4\n";
+        let other = with_value(text, "goal", "x", "[7]").unwrap();
+        assert_eq!(
+            other,
+            "[a]\nx = 1\n[goal] # here\n# of old\nx = [7]  # one\ny = 3  # y\n[b]\nx = 4\n"
+        );
+        let other = with_value(text, "goal", "y", "5").unwrap();
+        assert!(other.contains("y = 5  # y\n[b]"), "{other}");
+        assert_eq!(with_value(text, "goal", "z", "5"), None);
+        assert_eq!(with_value(text, "c", "x", "5"), None);
+        let scene = crate::PAPER_SIM;
+        let same = with_value(scene, "goal", "translation", "[0.0, 0.0, 0.75]").unwrap();
+        let changed = same.lines().zip(scene.lines()).filter(|(a, b)| a != b);
+        assert!(changed.count() <= 1 && same.lines().count() == scene.lines().count());
     }
 
     #[test]

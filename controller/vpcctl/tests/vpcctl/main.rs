@@ -13,6 +13,7 @@ mod requests;
 mod serve;
 mod stand_in;
 mod status;
+mod teach;
 mod watch;
 
 use std::path::{Path, PathBuf};

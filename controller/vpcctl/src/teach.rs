@@ -1,0 +1,228 @@
+//! `teach`: what the camera sees now is the goal of a new scene.
+//!
+//! Somebody holds the camera where it shall go, by hand or in the robot's guiding mode. The mean of
+//! the features gives the goal by the law's own estimate of a pose; all else is that of the old
+//! scene.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use ipc::Subscriber;
+use messages::{Features, MAX_POINTS};
+use nalgebra::Rotation3;
+use program::Exit;
+use scene::{Scene, with_value};
+use vpc::{Task, camera, pose};
+
+use crate::failure::Failure;
+use crate::presence;
+use crate::units::seconds;
+
+/// Least images with the whole pattern.
+const IMAGES: usize = 10;
+/// Greatest deviation of a coordinate, and greatest change of its mean from the first half of the
+/// images to the second, px: more is a camera that moves.
+const STILL_PX: f64 = 1.0;
+/// Greatest distance of a point from where the pattern's pose has it, px: more is another pattern,
+/// another order of its points, or a wrong calibration.
+const FITS_PX: f64 = 2.0;
+/// Between two looks.
+const PAUSE: Duration = Duration::from_millis(2);
+
+/// The command line of `teach`.
+#[derive(Clone, Debug, Args)]
+pub struct TeachArguments {
+    /// The scene whose camera, pattern, limits and occlusions stay. [default: the daemon's]
+    #[arg(long, value_name = "FILE")]
+    pub scene: Option<PathBuf>,
+
+    /// The scene to write; beside the old one, if that has files beside it.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+
+    /// How long to look, 0.05 to 3600 s.
+    #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = seconds)]
+    pub watch: Duration,
+
+    /// Overwrite the file.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// What was seen of a pattern that stands still.
+struct Seen {
+    /// Mean of each point, px.
+    points: Vec<[f64; 2]>,
+    images: usize,
+    /// Greatest deviation of a coordinate, px.
+    scatter_px: f64,
+}
+
+/// Looks, and writes the scene: what was taught.
+///
+/// # Errors
+/// The file exists, no features come, the camera moves, the points are not those of the pattern, or
+/// the goal is none, because a point would be in an occlusion.
+pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure> {
+    let name = with.output.display();
+    if !with.force && with.output.symlink_metadata().is_ok() {
+        let message = format!("{name}: exists; allowed: a new file, or --force");
+        return Err(Failure::new(Exit::Refused, message));
+    }
+    let of_daemon = || directory.join(ipc::SCENE_FILE);
+    let path = with.scene.clone().unwrap_or_else(of_daemon);
+    let old = Scene::read(&path)?;
+    let domain = presence::join(directory)?;
+    let seen = look(domain.subscriber(usize::MAX)?, old.pattern.len(), with)?;
+    let text = fs::read_to_string(&path)?;
+    let (text, fit_px) = taught(&text, &path, &old, &seen)?;
+    let new = Scene::parse(&text, &with.output.display().to_string())?;
+    let of_task = |error| Failure::new(Exit::Refused, format!("the goal: {error}"));
+    let task = Task::new(&new).map_err(of_task)?;
+    let pairs = task.goal.iter().zip(&seen.points);
+    let off_px = pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
+    // What was written is read again, and is what was seen.
+    let off_px = off_px.fold(fit_px, f64::max);
+    if off_px > FITS_PX {
+        let message = format!("{name}: the goal would be {off_px:.1} px off what was seen");
+        return Err(Failure::new(Exit::Software, message));
+    }
+    fs::write(&with.output, text).map_err(Failure::write(&with.output))?;
+    Ok(report(with, &new, &seen, off_px))
+}
+
+fn report(with: &TeachArguments, new: &Scene, seen: &Seen, off_px: f64) -> String {
+    let name = with.output.display();
+    let [x, y, z] = new.goal.translation;
+    let mut text = format!(
+        "taught from {} images, which scatter by {:.2} px: the object at ({x:.3}, {y:.3}, {z:.3}) m, {off_px:.2} px off\n\
+         wrote {name}\n",
+        seen.images, seen.scatter_px
+    );
+    if new.arm.as_ref().is_some_and(|arm| !arm.goal.is_empty()) {
+        text += "the arm file has the joints of the old goal: change its `goal`, or take it out\n";
+    }
+    let memory = with.output.with_extension("vpcmem");
+    let _ = writeln!(
+        text,
+        "next: vpc-memory build {name} -o {memory}; then vpcd --scene {name} --memory {memory}, which begins disarmed",
+        memory = memory.display()
+    );
+    text
+}
+
+/// Takes the images with the whole pattern.
+fn look(
+    mut features: Subscriber<Features>,
+    points: usize,
+    with: &TeachArguments,
+) -> Result<Seen, Failure> {
+    let (end, mut images, mut others) = (Instant::now() + with.watch, Vec::new(), 0);
+    while Instant::now() < end {
+        while let Some(message) = features.oldest()? {
+            let whole = (1_u32 << points.min(MAX_POINTS)) - 1;
+            match message.count as usize == points && message.visible & whole == whole {
+                true => images.push(message.pairs().collect::<Vec<_>>()),
+                false => others += 1,
+            }
+        }
+        std::thread::sleep(PAUSE);
+    }
+    let seconds = with.watch.as_secs_f64();
+    if images.is_empty() && others == 0 {
+        let message = format!("nothing on vpc/features within {seconds} s; is a camera at work?");
+        return Err(Failure::new(Exit::NoAnswer, message));
+    }
+    if images.len() < IMAGES {
+        let message = format!(
+            "{} images in {seconds} s show all {points} points, {others} do not; allowed: {IMAGES} at least",
+            images.len()
+        );
+        return Err(Failure::new(Exit::Refused, message));
+    }
+    still(&images)
+}
+
+/// The mean of images; refused where the camera or the pattern moves.
+fn still(images: &[Vec<[f64; 2]>]) -> Result<Seen, Failure> {
+    let mean = |images: &[Vec<[f64; 2]>], at: (usize, usize)| {
+        let sum: f64 = images.iter().map(|points| points[at.0][at.1]).sum();
+        sum / images.len() as f64
+    };
+    let count = images.first().map_or(0, Vec::len);
+    let (earlier, later) = images.split_at(images.len() / 2);
+    let (mut points, mut scatter_px, mut moved_px) = (vec![[0.0; 2]; count], 0.0_f64, 0.0_f64);
+    for at in (0..count).flat_map(|point| [(point, 0), (point, 1)]) {
+        let middle = mean(images, at);
+        let squares = images
+            .iter()
+            .map(|points| (points[at.0][at.1] - middle).powi(2));
+        scatter_px = scatter_px.max((squares.sum::<f64>() / images.len() as f64).sqrt());
+        moved_px = moved_px.max((mean(later, at) - mean(earlier, at)).abs());
+        points[at.0][at.1] = middle;
+    }
+    if scatter_px.max(moved_px) > STILL_PX {
+        let message = format!(
+            "the points scatter by {scatter_px:.1} px and moved by {moved_px:.1} px; allowed: {STILL_PX} px: hold the camera still"
+        );
+        return Err(Failure::new(Exit::Refused, message));
+    }
+    Ok(Seen {
+        points,
+        images: images.len(),
+        scatter_px,
+    })
+}
+
+/// The text of the scene with this goal, and how far a point is from it at most, px.
+fn taught(text: &str, path: &Path, old: &Scene, seen: &Seen) -> Result<(String, f64), Failure> {
+    let normalised: Vec<_> = seen
+        .points
+        .iter()
+        .map(|&pixel| camera::normalise(&old.camera, pixel))
+        .collect();
+    let refused = |message: String| Failure::new(Exit::Refused, message);
+    let found = pose::estimate(&old.pattern, &normalised, None);
+    let (pose, _) = found.ok_or_else(|| refused("the points fix no pose of the pattern".into()))?;
+    let focal = old.camera.fx.max(old.camera.fy);
+    let off = old.pattern.iter().zip(&normalised).map(|(point, image)| {
+        let x = pose.apply(point);
+        (x.x / x.z - image[0]).hypot(x.y / x.z - image[1])
+    });
+    let off_px = focal * off.fold(0.0, f64::max);
+    if off_px > FITS_PX {
+        return Err(refused(format!(
+            "the points are up to {off_px:.1} px off every view of the scene's pattern; allowed: {FITS_PX} px: \
+             compare pattern.points and their order with the tags, and the calibration with the camera"
+        )));
+    }
+    let translation: [f64; 3] = pose.translation.into();
+    let rotation = Rotation3::from_matrix_unchecked(pose.rotation).scaled_axis();
+    // Starts keep their places beside the goal; depths keep their proportion to its depth.
+    let [x, y, z] = old.goal.translation;
+    let moved = |[u, v, w]: [f64; 3]| {
+        let [to_x, to_y, to_z] = translation;
+        [u + to_x - x, v + to_y - y, w * to_z / z]
+    };
+    let region = &old.starts;
+    let mut text = text.to_owned();
+    for (table, key, value) in [
+        ("goal", "translation", translation),
+        ("goal", "rotation", rotation.into()),
+        ("starts", "translation_min", moved(region.translation_min)),
+        ("starts", "translation_max", moved(region.translation_max)),
+    ] {
+        let [a, b, c] = value;
+        let value = format!("[{a:.6}, {b:.6}, {c:.6}]");
+        text = with_value(&text, table, key, &value).ok_or_else(|| {
+            let path = path.display();
+            let message =
+                format!("{path}: {table}.{key} has no line of its own in a table [{table}]");
+            Failure::new(Exit::Data, message)
+        })?;
+    }
+    Ok((text, off_px))
+}
