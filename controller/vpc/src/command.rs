@@ -59,9 +59,14 @@ impl Policy<'_> {
         (limit::command(solver, &problem, &solution), solution)
     }
 
-    /// The same towards a wanted twist, which is sent to the last bit where nothing speaks against
-    /// it.
-    pub fn nearest(&self, solver: &mut Solver<'_>, present: &Present<'_>, wanted: &Twist) -> Twist {
+    /// The same towards a wanted twist. Where nothing speaks against that, it is sent to the last
+    /// bit, and nothing is solved.
+    pub fn nearest(
+        &self,
+        solver: &mut Solver<'_>,
+        present: &Present<'_>,
+        wanted: &Twist,
+    ) -> (Twist, Option<Solution>) {
         let goal = &self.task.goal;
         let present = Present {
             wanted: Some(*wanted),
@@ -73,10 +78,11 @@ impl Policy<'_> {
             let [least, most] = problem.bounds(k);
             (least..=most).contains(v)
         });
-        match is_inside && solver.is_clear(&problem, &repeated(wanted), 0.0) {
-            true => *wanted,
-            false => self.command(solver, &present, goal, goal).0,
+        if is_inside && solver.is_clear(&problem, &repeated(wanted), 0.0) {
+            return (*wanted, None);
         }
+        let (twist, solution) = self.command(solver, &present, goal, goal);
+        (twist, Some(solution))
     }
 
     /// The optimal-control problem.

@@ -19,7 +19,7 @@ use crate::motion::Own;
 use crate::patience::Patience;
 use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan, repeated};
-use crate::problem::Status;
+use crate::problem::{Solution, Status};
 use crate::recall::{self, Asked, MotionMemory, Recall};
 use crate::refine::{self, Refiner};
 use crate::settings::{Settings, SettingsError};
@@ -118,6 +118,17 @@ pub struct Step {
     pub clearance_px: f64,
     /// Largest component of s - s*, px; of the features at the command's effect.
     pub error_px: f64,
+}
+
+impl Step {
+    /// Takes in how the solver ended.
+    fn tell(&mut self, solution: &Solution) {
+        self.status = solution.status;
+        self.iterations = solution.iterations;
+        self.qp_iterations = solution.qp_iterations;
+        self.work = solution.work;
+        self.violation_px = solution.violation_px;
+    }
 }
 
 impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
@@ -956,11 +967,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             settings: &self.settings,
         };
         let wanted = self.wanted.unwrap_or_default();
-        match self.share.solver(&self.settings, self.workspace.as_mut()) {
-            Some(mut solver) => step.twist = policy.nearest(&mut solver, &present, &wanted),
-            None => step.status = Status::NumericalFailure,
+        let Some(mut solver) = self.share.solver(&self.settings, self.workspace.as_mut()) else {
+            step.status = Status::NumericalFailure;
+            return;
+        };
+        let (twist, solution) = policy.nearest(&mut solver, &present, &wanted);
+        step.twist = twist;
+        if let Some(solution) = &solution {
+            step.tell(solution);
         }
-        self.state.previous = repeated(&step.twist);
+        self.state.previous = repeated(&twist);
     }
 
     /// The memory's answer, if features are near an occlusion.
@@ -1015,11 +1031,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         };
         let (twist, solution) = policy.command(&mut solver, &present, aim, &target);
         step.twist = twist;
-        step.status = solution.status;
-        step.iterations = solution.iterations;
-        step.qp_iterations = solution.qp_iterations;
-        step.work = solution.work;
-        step.violation_px = solution.violation_px;
+        step.tell(&solution);
         step.way_point = tracked;
         self.state.previous = solution.warm(&twist);
     }
