@@ -90,7 +90,7 @@ fn what_the_camera_sees_becomes_the_goal_and_nothing_else_changes() {
     assert!((min[0] - old.starts.translation_min[0] - HELD.translation[0]).abs() < 0.005);
     assert!(min[2] > 0.0 && max[2] > min[2]);
     let mut same = new;
-    (same.goal, same.starts) = (old.goal, old.starts.clone());
+    (same.goal, same.starts) = (old.goal, old.starts);
     assert_eq!(same, old);
     // It overwrites nothing unasked.
     let said = taught(place.path(), |_| held.clone(), &[]);
