@@ -485,17 +485,20 @@ impl<'m> ControlStep<'m> {
             Input::Refused(_) | Input::Failed => self.wish = None,
         }
         self.wish = self.wish.filter(|wish| inputs.now_ns < wish.until_ns);
-        let follows = self.law.settings().strategy == Strategy::Follow;
-        let wanted = self.wish.filter(|_| follows).map(|wish| wish.twist);
+        let wanted = self.wish.filter(|_| self.follows()).map(|wish| wish.twist);
         self.law.want(wanted);
         wanted.unwrap_or_default()
+    }
+
+    /// Whether another program steers.
+    fn follows(&self) -> bool {
+        self.law.settings().strategy == Strategy::Follow
     }
 
     /// What to command after a step of the law. Where another program steers, nothing arrives.
     fn judge(&self, step: &Step, had_arrived: bool) -> Decision {
         let decision = self.bounds.decide(step, self.law.drift(), had_arrived);
-        let follows = self.law.settings().strategy == Strategy::Follow;
-        match (follows && decision.hold.is_none(), self.wish) {
+        match (self.follows() && decision.hold.is_none(), self.wish) {
             (false, _) => decision,
             (true, None) => Decision::hold(Hold::Unwanted),
             (true, Some(_)) => Decision {

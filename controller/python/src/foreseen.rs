@@ -25,7 +25,7 @@ pub struct Foreseen {
     /// Least distance from the goal (largest component) of a future that only nears it, px.
     #[pyo3(get)]
     error_px: Option<f64>,
-    /// What is followed: "goal", "refined way" and others; "off" for other strategies.
+    /// The guide that it follows: "goal", "refined way" and others; "off" for other strategies.
     #[pyo3(get)]
     guide: String,
     /// Steps from one place of the path to the next.

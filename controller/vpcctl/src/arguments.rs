@@ -66,7 +66,7 @@ pub enum Command {
     /// Play vpcd to the program that carries out twists, and judge what it reports: the camera
     /// moves some centimetres along its x axis and back.
     CheckBridge(CheckBridgeArguments),
-    /// Write a scene whose goal is what the camera sees now. Hold the camera there, still.
+    /// Write a scene with the goal that the camera sees now. Hold the camera there, still.
     Teach(TeachArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),

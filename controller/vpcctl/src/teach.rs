@@ -35,11 +35,11 @@ const PAUSE: Duration = Duration::from_millis(2);
 /// The command line of `teach`.
 #[derive(Clone, Debug, Args)]
 pub struct TeachArguments {
-    /// The scene whose camera, pattern, limits and occlusions stay. [default: the daemon's]
+    /// The old scene: its camera, pattern, limits and occlusions stay. [default: the daemon's]
     #[arg(long, value_name = "FILE")]
     pub scene: Option<PathBuf>,
 
-    /// The scene to write; beside the old one, if that has files beside it.
+    /// The scene to write; in the folder of the old one, if that names other files.
     #[arg(short, long, value_name = "FILE")]
     pub output: PathBuf,
 

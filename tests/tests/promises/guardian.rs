@@ -15,7 +15,7 @@ use crate::fixture::{
     repeats, speed, turn,
 };
 
-/// A policy of 10 Hz, each of whose twists counts for twice as long.
+/// A policy of 10 Hz. Each twist counts for two of its periods.
 const EVERY: Duration = Duration::from_millis(100);
 const VALID_NS: u64 = 200_000_000;
 /// Twists of a run.

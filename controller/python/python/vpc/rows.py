@@ -52,5 +52,5 @@ class Row(TypedDict):
     least_edge_px: float | None
     #: Iterations of the solver; 0 for your law.
     iterations: int
-    #: Cycles whose solver did not converge; 0 for your law.
+    #: Cycles in which the solver did not converge; 0 for your law.
     not_converged: int
