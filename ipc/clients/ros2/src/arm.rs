@@ -36,7 +36,6 @@ pub enum Command {
 #[derive(Clone, Debug)]
 pub struct Arm {
     keys: RobotKeys,
-    camera: String,
     frames: Frames,
     max_age_ns: u64,
     joints: Option<(u64, [f64; 7], [f64; 7])>,
@@ -50,8 +49,7 @@ impl Arm {
     pub fn new(config: &Config) -> Self {
         Self {
             keys: config.robot.clone(),
-            camera: config.camera.frame.clone(),
-            frames: Frames::new(&config.mount),
+            frames: Frames::new(config),
             max_age_ns: config.max_age_ns,
             joints: None,
             poses: VecDeque::new(),
@@ -164,25 +162,9 @@ impl Arm {
         now_ns: u64,
         command: Command,
     ) -> Result<RobotState, Refusal> {
-        let RobotKeys { tool, base, .. } = &self.keys;
-        let found = &message.header.frame_id;
-        let frame = match found {
-            _ if *found == self.camera => CommandFrame::Camera,
-            _ if found == tool => CommandFrame::Tool,
-            _ if found == base => CommandFrame::Base,
-            _ => {
-                return Err(Refusal::Frame {
-                    found: found.clone(),
-                    allowed: format!("{}, {tool} or {base}", self.camera),
-                });
-            }
-        };
-        let instant = clocks.instant(&message.header.stamp, 0, now_ns)?;
-        let twist = message.twist.array();
-        finite("the twist", &twist)?;
         let turn = self.base_from_tool(now_ns);
-        let camera = self.frames.camera(&twist, frame, turn.as_ref());
-        let camera = camera.ok_or_else(|| Refusal::NoPose(self.keys.pose.clone()))?;
+        let camera = self.frames.told(message, turn.as_ref())?;
+        let instant = clocks.instant(&message.header.stamp, 0, now_ns)?;
         self.twists.after(instant)?;
         self.state(camera, instant, command, now_ns)
     }

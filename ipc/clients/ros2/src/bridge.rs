@@ -5,7 +5,8 @@ use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
 use ipc::{Domain, Publisher, ReceiveError, RobotPorts, now_ns};
-use messages::Features;
+use messages::{DesiredTwist, Features};
+use nalgebra::UnitQuaternion;
 use ros2_client::Publisher as Topic;
 
 use crate::arm::Arm;
@@ -19,6 +20,7 @@ use crate::message::{
     TwistStamped,
 };
 use crate::outlet::Outlet;
+use crate::policy::Policy;
 use crate::refusal::Counts;
 use crate::ros::{Listeners, Ros, RosError};
 use crate::stamp::{self, Clocks};
@@ -53,11 +55,18 @@ struct Robot {
     frame: String,
 }
 
+/// The side of another program, which wants the camera to move.
+struct Wishes {
+    policy: Policy,
+    inbox: Inbox<TwistStamped>,
+}
+
 /// All of ROS that the loop needs.
 pub struct Bridge {
     clocks: Clocks,
     camera: Option<Camera>,
     robot: Option<Robot>,
+    wishes: Option<Wishes>,
     report: Report,
 }
 
@@ -65,6 +74,7 @@ pub struct Bridge {
 struct Ports {
     features: Option<Publisher<Features>>,
     robot: Option<RobotPorts>,
+    desired: Option<Publisher<DesiredTwist>>,
 }
 
 impl Bridge {
@@ -75,15 +85,17 @@ impl Bridge {
     pub fn open(config: &Config, ros: &mut Ros) -> Result<Self, RosError> {
         let camera = config.is_camera().then(|| Camera::open(config, ros));
         let robot = config.is_robot().then(|| Robot::open(config, ros));
+        let wishes = config.is_policy().then(|| Wishes::open(config, ros));
         Ok(Self {
             clocks: Clocks::new(stamp::measure(), config.max_age_ns),
             camera: camera.transpose()?,
             robot: robot.transpose()?,
+            wishes: wishes.transpose()?,
             report: Report::default(),
         })
     }
 
-    /// Takes the places of camera and robot in the domain, and works until `stop`.
+    /// Takes the places of camera, robot and policy in the domain, and works until `stop`.
     ///
     /// # Errors
     /// [`BridgeError`]: another program has such a place, or shared memory fails.
@@ -102,6 +114,10 @@ impl Bridge {
             },
             robot: match self.robot {
                 Some(_) => Some(RobotPorts::open(&domain)?),
+                None => None,
+            },
+            desired: match self.wishes {
+                Some(_) => Some(domain.publisher()?),
                 None => None,
             },
         };
@@ -127,6 +143,7 @@ impl Bridge {
         let mut ports = Ports {
             features: None,
             robot: None,
+            desired: None,
         };
         let never = AtomicBool::new(false);
         self.work(&mut ports, stop, &never, tell)?;
@@ -173,6 +190,11 @@ impl Bridge {
             if let Some(camera) = &mut self.camera {
                 camera.look(&self.clocks, ports.features.as_mut(), tell)?;
             }
+            if let Some(wishes) = &mut self.wishes {
+                let arm = self.robot.as_ref().map(|robot| &robot.arm);
+                let turn = arm.and_then(|arm| arm.base_from_tool(now_ns()));
+                wishes.look(&self.clocks, turn.as_ref(), ports.desired.as_mut(), tell)?;
+            }
             if now - reported_ns >= REPORT_NS {
                 reported_ns = now;
                 self.count();
@@ -200,6 +222,9 @@ impl Bridge {
             note(topics, &robot.twists);
             note(topics, &robot.poses);
             note(topics, &robot.joints);
+        }
+        if let Some(Wishes { inbox, .. }) = &self.wishes {
+            topics.push((inbox.topic.clone(), inbox.counts.clone()));
         }
         self.report.steps = self.clocks.steps;
         self.report.offset_ns = self.clocks.offset_ns();
@@ -256,6 +281,36 @@ impl Camera {
             inbox.each(tell, judge, &mut publish)?;
         }
         Ok(())
+    }
+}
+
+impl Wishes {
+    fn open(config: &Config, ros: &mut Ros) -> Result<Self, RosError> {
+        let keys = &config.policy;
+        Ok(Self {
+            policy: Policy::new(config),
+            inbox: Inbox::open(ros, &keys.desired, keys.reliability)?,
+        })
+    }
+
+    fn look(
+        &mut self,
+        clocks: &Clocks,
+        turn: Option<&UnitQuaternion<f64>>,
+        mut port: Option<&mut Publisher<DesiredTwist>>,
+        tell: &SyncSender<Event>,
+    ) -> Result<(), BridgeError> {
+        let policy = &mut self.policy;
+        let judge = |message: &_, now| {
+            let desired = policy.wish(message, clocks, now, turn)?;
+            Ok(Some((desired.stamp.data_ns, desired)))
+        };
+        self.inbox.each(tell, judge, |desired| {
+            if let Some(port) = &mut port {
+                port.publish(&desired)?;
+            }
+            Ok(())
+        })
     }
 }
 

@@ -8,7 +8,8 @@ use scene::Scene;
 use toml_schema::{Document, FileError};
 
 pub use crate::keys::{
-    CameraKeys, CommandFrame, Executed, FeaturesKind, Keys, Mount, Reliability, RobotKeys, Services,
+    CameraKeys, CommandFrame, Executed, FeaturesKind, Keys, Mount, PolicyKeys, Reliability,
+    RobotKeys, Services,
 };
 
 /// Most joints that vpc/robot has room for.
@@ -18,7 +19,7 @@ const NAME: &str = "an absolute name: parts of letters, digits and single _, eac
 
 /// Connects ROS 2 with vpcd: tags, joints and velocities in, velocities and diagnostics out.
 ///
-/// Plays the camera, the robot, or both, for the vpcd of the domain; links no ROS. Exit codes: 0
+/// Plays camera, robot or policy for the vpcd of the domain; links no ROS. Exit codes: 0
 /// stopped by SIGTERM, after zero twists; 1 the preflight found a fault; 64 usage, 66 a file is
 /// missing, 69 DDS or the shared memory cannot be used, 70 a defect, 78 configuration.
 #[derive(Parser, Debug)]
@@ -74,6 +75,10 @@ pub struct Config {
     pub robot: RobotKeys,
     /// How long zeros follow, ns.
     pub zeros_ns: u64,
+    /// The keys of what another program wants.
+    pub policy: PolicyKeys,
+    /// How long such a twist counts, ns.
+    pub valid_ns: u64,
     /// The camera on the tool.
     pub mount: Mount,
 }
@@ -105,13 +110,13 @@ impl Config {
         }
         let (namespace, name) = keys.node.rsplit_once('/').unwrap_or_default();
         let namespace = if namespace.is_empty() { "/" } else { namespace };
-        let scene = Scene::read(&keys.scene.unwrap_or_default())?;
+        let scene = Scene::read(&keys.scene.clone().unwrap_or_default())?;
         let targets = targets(document, &keys.camera, scene.pattern.len())?;
         let default_centre = match keys.camera.features {
             FeaturesKind::Tags => 0.5,
             _ => 0.0,
         };
-        check_topics(document, &keys.camera, &keys.robot)?;
+        check_topics(document, &keys)?;
         let ns = |ms: f64| (1e6 * ms).round();
         Ok(Self {
             interfaces,
@@ -124,8 +129,10 @@ impl Config {
             pixel_centre: keys.camera.pixel_centre.unwrap_or(default_centre),
             stamp_offset_ns: ns(keys.camera.stamp_offset_ms) as i64,
             zeros_ns: ns(keys.robot.zeros_ms) as u64,
+            valid_ns: ns(keys.policy.valid_ms) as u64,
             camera: keys.camera,
             robot: keys.robot,
+            policy: keys.policy,
             mount: keys.mount,
             scene,
         })
@@ -139,6 +146,11 @@ impl Config {
     /// Whether it is the robot of the domain.
     pub fn is_robot(&self) -> bool {
         self.robot.executed != Executed::None
+    }
+
+    /// Whether it is the policy of the domain.
+    pub fn is_policy(&self) -> bool {
+        !self.policy.desired.is_empty()
     }
 }
 
@@ -167,15 +179,18 @@ fn targets(document: &Document, keys: &CameraKeys, points: usize) -> Result<Targ
     }
 }
 
-fn check_topics(
-    document: &Document,
-    camera: &CameraKeys,
-    robot: &RobotKeys,
-) -> Result<(), FileError> {
+fn check_topics(document: &Document, keys: &Keys) -> Result<(), FileError> {
+    let Keys {
+        camera,
+        robot,
+        policy,
+        ..
+    } = keys;
     let has_camera = camera.features != FeaturesKind::None;
     let has_robot = robot.executed != Executed::None;
-    if !has_camera && !has_robot {
-        let allowed = "tags or points, unless the robot is played (robot.executed)";
+    if !has_camera && !has_robot && policy.desired.is_empty() {
+        let allowed = "tags or points, unless the robot is played (robot.executed) or a policy \
+                       (policy.desired)";
         return Err(document.refuse("camera.features", "none", allowed));
     }
     let joints = &robot.joints;
@@ -197,6 +212,7 @@ fn check_topics(
         ("robot.pose", &robot.pose, true),
         ("robot.joint_states", &robot.joint_states, false),
         ("robot.command", &robot.command, false),
+        ("policy.desired", &policy.desired, true),
     ] {
         if !(is_optional && topic.is_empty() || is_name(topic)) {
             return Err(document.refuse(key, topic, NAME));
@@ -206,8 +222,13 @@ fn check_topics(
         let allowed = "a topic of the robot: on robot.command vpcd would hear itself";
         return Err(document.refuse("robot.twist", &robot.twist, allowed));
     }
+    if [&robot.command, &robot.twist].contains(&&policy.desired) {
+        let allowed = "a topic of the policy, other than robot.command and robot.twist";
+        return Err(document.refuse("policy.desired", &policy.desired, allowed));
+    }
     let names = [&camera.frame, &robot.tool, &robot.base];
-    if has_robot && (names[0] == names[1] || names[0] == names[2] || names[1] == names[2]) {
+    let turns = has_robot || !policy.desired.is_empty();
+    if turns && (names[0] == names[1] || names[0] == names[2] || names[1] == names[2]) {
         let allowed = "three different names for camera.frame, robot.tool and robot.base";
         return Err(document.refuse("robot.tool", names[1], allowed));
     }

@@ -2,25 +2,70 @@
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
-use crate::config::{CommandFrame, Mount};
-use crate::message::Pose;
+use crate::config::{CommandFrame, Config};
+use crate::message::{Pose, TwistStamped};
+use crate::refusal::{Refusal, finite};
 
 /// Least length of a quaternion that is taken as one.
 const UNIT: f64 = 1e-3;
 
-/// The camera on the tool.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// The frames of camera, tool and base, and the camera on the tool.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Frames {
+    /// `frame_id` of each.
+    camera: String,
+    tool: String,
+    base: String,
+    /// Topic of the tool's pose in the base.
+    pose: String,
     tool_from_camera: Isometry3<f64>,
 }
 
 impl Frames {
     /// From the configuration.
-    pub fn new(mount: &Mount) -> Self {
-        let rotation = Vector3::from(mount.rotation_deg).map(f64::to_radians);
+    pub fn new(config: &Config) -> Self {
+        let rotation = Vector3::from(config.mount.rotation_deg).map(f64::to_radians);
         Self {
-            tool_from_camera: Isometry3::new(Vector3::from(mount.translation), rotation),
+            camera: config.camera.frame.clone(),
+            tool: config.robot.tool.clone(),
+            base: config.robot.base.clone(),
+            pose: config.robot.pose.clone(),
+            tool_from_camera: Isometry3::new(Vector3::from(config.mount.translation), rotation),
         }
+    }
+
+    /// The twist of a message, in whichever of the frames, as one of the camera.
+    ///
+    /// # Errors
+    /// [`Refusal`]: of another frame, not finite, or in the base's frame while `base_from_tool` is
+    /// not known.
+    pub fn told(
+        &self,
+        message: &TwistStamped,
+        base_from_tool: Option<&UnitQuaternion<f64>>,
+    ) -> Result<[f64; 6], Refusal> {
+        let Self {
+            camera, tool, base, ..
+        } = self;
+        let found = &message.header.frame_id;
+        let frame = match found {
+            _ if found == camera => CommandFrame::Camera,
+            _ if found == tool => CommandFrame::Tool,
+            _ if found == base => CommandFrame::Base,
+            _ => {
+                return Err(Refusal::Frame {
+                    found: found.clone(),
+                    allowed: format!("{camera}, {tool} or {base}"),
+                });
+            }
+        };
+        let twist = message.twist.array();
+        finite("the twist", &twist)?;
+        let of_camera = self.camera(&twist, frame, base_from_tool);
+        let of_camera = of_camera.ok_or_else(|| Refusal::NoPose(self.pose.clone()))?;
+        // Numbers that are too large for the change of frames.
+        finite("the camera's twist", &of_camera)?;
+        Ok(of_camera)
     }
 
     /// A twist of the camera in another frame, vx vy vz wx wy wz in m/s and rad/s. `base_from_tool`
@@ -104,12 +149,11 @@ pub fn velocity(from: &Isometry3<f64>, to: &Isometry3<f64>, seconds: f64) -> [f6
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::of_keys;
 
-    fn mount() -> Mount {
-        Mount {
-            translation: [0.05, -0.02, 0.08],
-            rotation_deg: [5.0, -40.0, 90.0],
-        }
+    fn frames() -> Frames {
+        let mount = "[mount]\ntranslation = [0.05, -0.02, 0.08]\nrotation_deg = [5, -40, 90]";
+        Frames::new(&of_keys(mount))
     }
 
     const TWIST: [f64; 6] = [0.03, -0.02, 0.05, 0.2, -0.1, 0.3];
@@ -121,7 +165,7 @@ mod tests {
 
     #[test]
     fn out_and_back_is_the_same_twist_in_every_frame() {
-        let frames = Frames::new(&mount());
+        let frames = frames();
         let turn = UnitQuaternion::from_euler_angles(0.4, -1.1, 2.0);
         for frame in [CommandFrame::Camera, CommandFrame::Tool, CommandFrame::Base] {
             let out = frames.out(&TWIST, frame, Some(&turn)).unwrap();
@@ -134,7 +178,7 @@ mod tests {
 
     #[test]
     fn the_camera_moves_as_told_when_the_tool_moves_as_told() {
-        let frames = Frames::new(&mount());
+        let frames = frames();
         let start = Isometry3::new(Vector3::new(0.4, 0.1, 0.3), Vector3::new(0.3, -2.0, 0.5));
         let seconds = 1e-4;
         // The tool's velocity along base axes moves the tool; the camera is carried along.

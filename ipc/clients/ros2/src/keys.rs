@@ -49,6 +49,9 @@ pub struct Keys {
     pub robot: RobotKeys,
     #[arg(skip)]
     #[allow(missing_docs)]
+    pub policy: PolicyKeys,
+    #[arg(skip)]
+    #[allow(missing_docs)]
     pub mount: Mount,
 }
 
@@ -133,6 +136,20 @@ pub struct RobotKeys {
     /// Reliability offered for commands; `reliable` matches both kinds of receivers.
     #[default(Reliability::Reliable)]
     pub command_reliability: Reliability,
+    /// Reliability requested of senders; `best_effort` matches both kinds.
+    pub reliability: Reliability,
+}
+
+/// What another program wants of the camera, for `law.strategy = "follow"` of vpcd.
+#[derive(Clone, Debug, SmartDefault, PartialEq, Deserialize, Serialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PolicyKeys {
+    /// geometry_msgs/TwistStamped, in the frame of camera, tool or base; empty: none.
+    pub desired: String,
+    /// For how long a twist counts after its stamp.
+    #[default = 200.0]
+    #[schemars(range(min = 1, max = 500), extend("x-unit" = "ms"))]
+    pub valid_ms: f64,
     /// Reliability requested of senders; `best_effort` matches both kinds.
     pub reliability: Reliability,
 }

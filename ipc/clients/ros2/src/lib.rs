@@ -33,6 +33,8 @@ pub mod outlet;
 #[cfg(feature = "dds")]
 pub mod overlay;
 #[cfg(feature = "dds")]
+pub mod policy;
+#[cfg(feature = "dds")]
 pub mod refusal;
 #[cfg(feature = "dds")]
 pub mod ros;

@@ -207,6 +207,8 @@ pub struct Plan {
     pub via: Via,
     pub ros_domain_id: u16,
     pub is_in_base: bool,
+    /// Whether vpcd guards what the peer wants.
+    is_guarded: bool,
     python: PathBuf,
 }
 
@@ -224,6 +226,21 @@ pub struct Bench {
 impl Bench {
     /// `None`, after `not_run`, where there is no Python with what is needed.
     pub fn new(test: &str, via: Via, ros_domain_id: u16, is_in_base: bool) -> Option<Self> {
+        Self::start(test, via, ros_domain_id, is_in_base, false)
+    }
+
+    /// The same where vpcd guards what the peer wants.
+    pub fn guarded(test: &str, ros_domain_id: u16) -> Option<Self> {
+        Self::start(test, Via::Dds, ros_domain_id, false, true)
+    }
+
+    fn start(
+        test: &str,
+        via: Via,
+        ros_domain_id: u16,
+        is_in_base: bool,
+        is_guarded: bool,
+    ) -> Option<Self> {
         let environment = match via {
             Via::Dds => DDS,
             Via::Kilted => KILTED,
@@ -235,13 +252,14 @@ impl Bench {
             via,
             ros_domain_id,
             is_in_base,
+            is_guarded,
             python,
         };
         let place = Place::new();
         let config = place.file("vpc-ros2.toml", plan.config());
         Some(Self {
             peer: Peer::start(&plan),
-            vpcd: vpcd(&place),
+            vpcd: vpcd(&place, is_guarded),
             gateway: gateway(&place, &config),
             plan,
             config,
@@ -260,7 +278,7 @@ impl Bench {
     }
 
     pub fn restart_vpcd(&mut self) {
-        self.vpcd = vpcd(&self.place);
+        self.vpcd = vpcd(&self.place, self.plan.is_guarded);
     }
 
     pub fn restart_peer(&mut self) {
@@ -286,6 +304,7 @@ impl Plan {
             via,
             ros_domain_id,
             is_in_base,
+            is_guarded,
             ..
         } = self;
         let scene = scene_file();
@@ -300,19 +319,26 @@ impl Plan {
             }
             false => "",
         };
+        let policy = match is_guarded {
+            true => "[policy]\ndesired = \"/wish\"\n",
+            false => "",
+        };
         format!(
             "scene = {scene:?}\nros_domain_id = {ros_domain_id}\ninterfaces = [\"127.0.0.1\"]\n\
              services = \"{services}\"\n[camera]\n{camera}\n[robot]\n\
-             joints = [\"shoulder\", \"elbow\", \"wrist\"]\n{robot}"
+             joints = [\"shoulder\", \"elbow\", \"wrist\"]\n{robot}{policy}"
         )
     }
 }
 
-fn vpcd(place: &Place) -> Running {
+fn vpcd(place: &Place, is_guarded: bool) -> Running {
     let mut command = testkit::command(program("vpcd"));
     command.arg("--scene").arg(scene_file());
     command.arg("--memory").arg(memory_file());
     command.arg("--domain").arg(place.domain());
+    if is_guarded {
+        command.args(["--strategy", "follow"]);
+    }
     Running::start(command.stdout(Stdio::null()).stderr(Stdio::piped()))
 }
 

@@ -102,6 +102,7 @@ class Graph:
         self.joint_states = self.writer("rt/joint_states", JointState)
         self.executed_twists = self.writer("rt/vpcd/executed_twist", TwistStamped, reliable=False)
         self.poses = self.writer("rt/tool_pose", PoseStamped)
+        self.wishes = self.writer("rt/wish", TwistStamped)
         self.commands = self.reader("rt/servo_node/delta_twist_cmds", TwistStamped)
         self.commands_too = self.reader("rt/servo_node/delta_twist_cmds", TwistStamped, reliable=False)
         self.diagnostics = self.reader("rt/diagnostics", DiagnosticArray)
@@ -129,6 +130,9 @@ class Graph:
 
     def executed(self, head, twist):
         self.executed_twists.write(TwistStamped(header(head), Twist(Vector3(*twist[:3]), Vector3(*twist[3:]))))
+
+    def wish(self, head, twist):
+        self.wishes.write(TwistStamped(header(head), Twist(Vector3(*twist[:3]), Vector3(*twist[3:]))))
 
     def pose(self, head, at, turn):
         self.poses.write(PoseStamped(header(head), Pose(Point(*at), Quaternion(*turn))))

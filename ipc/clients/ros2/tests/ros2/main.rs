@@ -4,6 +4,7 @@
 mod attack;
 mod bench;
 mod dead_man;
+mod policy;
 mod program;
 mod refusals;
 mod restarts;

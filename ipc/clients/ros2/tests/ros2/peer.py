@@ -79,7 +79,7 @@ class Peer:
         self.twist, self.heard = [0.0] * 6, 0.0
         # What is wrong on purpose.
         self.faults = {}
-        self.run = None
+        self.run, self.wish, self.deepest = None, None, None
         self.counts = {"twists": 0, "zeros": 0, "late": 0, "wrong_frame": 0}
         self.ticks = 0
         self.last = time.monotonic()
@@ -110,6 +110,8 @@ class Peer:
         self.ticks += 1
         if self.ticks % 3 == 0 and not self.fault("camera_silent"):
             self.tell_camera(wall)
+        if self.wish and self.ticks % 10 == 0:
+            self.graph.wish(self.header(FRAMES["camera"], wall), self.wish)
 
     def header(self, frame, wall):
         return {"stamp": stamp(wall), "frame_id": frame}
@@ -129,6 +131,7 @@ class Peer:
         if not self.world.camera.sees():
             return
         pixels = self.world.camera.pixels()
+        self.deepest = self.deepest or self.referee.violation(pixels)
         if self.run is not None:
             self.judge(pixels)
         wall += self.fault("camera_stamp_ms", 0) * 10**6
@@ -165,6 +168,10 @@ class Peer:
         if word == "place":
             self.world = World(self.scene, self.starts[int(rest)])
             self.answer({})
+        elif word == "wish":
+            # Ten times a second, until the next one; `null` for silence.
+            self.wish, self.deepest = json.loads(rest), None
+            self.answer({})
         elif word == "run":
             # Answered when it has ended.
             self.run = {"begin": time.monotonic(), "deep": None, "error_px": None}
@@ -177,7 +184,16 @@ class Peer:
             heard = time.monotonic() - self.heard
             speed = float(np.abs(self.twist).max())
             error = self.referee.error(self.world.camera.pixels())
-            self.answer({**self.counts, "silent_s": heard, "speed": speed, "error_px": error, **self.graph.told()})
+            self.answer(
+                {
+                    **self.counts,
+                    "silent_s": heard,
+                    "speed": speed,
+                    "error_px": error,
+                    "violation": self.deepest,
+                    **self.graph.told(),
+                }
+            )
         elif word == "flood":
             for _ in range(5):
                 self.graph.send(rest)

@@ -63,6 +63,10 @@ fn keys_that_contradict_each_other_are_refused() {
             "[robot]\ntwist = \"/servo_node/delta_twist_cmds\"",
             "robot.twist = /servo_node/delta_twist_cmds; allowed: a topic of the robot",
         ),
+        (
+            "[policy]\ndesired = \"/servo_node/delta_twist_cmds\"",
+            "policy.desired = /servo_node/delta_twist_cmds; allowed: a topic of the policy",
+        ),
         ("node = \"vpcd\"", "node = vpcd; allowed: an absolute name"),
         ("[robot]\nspeed = 1.0", "speed"),
         ("[camera]\nmax_age_ms = 1.0", "max_age_ms"),
