@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use messages::CycleRecord;
+use messages::{CycleRecord, DesiredTwist};
 use recording::{RecordingFile, Sink};
 use testkit::python::{Environment, run};
 use testkit::{Place, command, root, target_directory};
@@ -32,8 +32,10 @@ fn install(python: &Path) {
         "--quiet",
         "--disable-pip-version-check",
     ]);
-    // Its tools are there, and what others built in this target directory is not built again.
+    // Its tools are there, and what others built in this target directory is not built again: so in
+    // their profile. The law gives the same bits in each.
     pip.args(["--no-build-isolation", "--no-deps", "--force-reinstall"]);
+    pip.args(["--config-settings", "build-args=--profile dev"]);
     let bin = python.parent().unwrap();
     let path = std::env::var("PATH").unwrap_or_default();
     pip.env("PATH", format!("{}:{path}", bin.display()));
@@ -41,7 +43,7 @@ fn install(python: &Path) {
     run(pip.arg(root().join("controller/python"))).unwrap();
 }
 
-/// Writes a recording of three cycles that commanded 0, 1 and 2 m/s along x.
+/// Writes a recording of three cycles that commanded 0, 1 and 2 m/s along x, where 3 was wanted.
 fn record(path: &Path) {
     let mut file = RecordingFile::create(path, false).unwrap();
     for cycle in 0..3 {
@@ -49,6 +51,8 @@ fn record(path: &Path) {
         (record.cycle, record.twist[0]) = (cycle, cycle as f64);
         file.write(&record).unwrap();
     }
+    let wish = DesiredTwist::until([3.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0);
+    file.write(&wish).unwrap();
     file.finish().unwrap();
 }
 

@@ -14,8 +14,9 @@ fn json<T: Recorded>(messages: &[T]) -> Vec<String> {
 /// The messages of one kind.
 type Kind = fn(&Recording) -> Vec<String>;
 
-const KINDS: [(&str, Kind); 6] = [
+const KINDS: [(&str, Kind); 7] = [
     ("cycles", |it| json(&it.cycles)),
+    ("desired", |it| json(&it.desired)),
     ("features", |it| json(&it.features)),
     ("replies", |it| json(&it.replies)),
     ("requests", |it| json(&it.requests)),

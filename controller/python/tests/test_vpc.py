@@ -347,7 +347,8 @@ def test_a_recording_is_read() -> None:
         cycles = list(vpc.records(path))
         assert [cycle["twist"][0] for cycle in cycles] == [0, 1, 2]
         assert list(vpc.records(path, "robot")) == []
-    with raises(ValueError, "kind `laps`; allowed: cycles, features"):
+        assert [wish["twist"][0] for wish in vpc.records(path, "desired")] == [3]
+    with raises(ValueError, "kind `laps`; allowed: cycles, desired, features"):
         vpc.records(*RECORDING or [SCENE], "laps")
 
 

@@ -69,10 +69,20 @@ fn motion(frames: &[Frame]) -> [f64; 2] {
     [moved[moved.len() / 2], moved[moved.len() - 1]]
 }
 
-/// What `cargo judge` says of a folder.
+/// What `cargo judge` says of a folder, as the tests of `vpc-camera` build it.
 fn judged(folder: &Path, tags: &str, flags: &[&str]) -> Vec<Found> {
     let mut cargo = testkit::command(env!("CARGO"));
-    cargo.args(["judge", "--json", "--tags", tags]).args(flags);
+    cargo.args([
+        "run",
+        "--quiet",
+        "-p",
+        "vpc-camera",
+        "--example",
+        "judge",
+        "--",
+        "--json",
+    ]);
+    cargo.args(["--tags", tags]).args(flags);
     let said = testkit::python::run(cargo.arg(folder).current_dir(root())).unwrap();
     let lines = said.lines().filter(|line| line.starts_with('{'));
     lines

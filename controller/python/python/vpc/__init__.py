@@ -47,7 +47,8 @@ __all__ = [
 
 def records(path: str | os.PathLike[str], kind: str = "cycles") -> Iterator[dict[str, Any]]:
     """The messages of one kind in a recording (MCAP) as dicts, in their order; keys and units are
-    those of the contract. kind: "cycles", "features", "replies", "requests", "robot" or "twist".
+    those of the contract. kind: "cycles", "desired", "features", "replies", "requests", "robot" or
+    "twist".
 
     Raises OSError if the file cannot be read, and ValueError if it is no recording.
     """
