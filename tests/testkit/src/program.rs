@@ -32,6 +32,7 @@ fn build(name: &str) {
     // No package is named, so that features are those of `cargo test`, and nothing is built twice.
     cargo.current_dir(root()).args(["build", "--quiet"]);
     match name.strip_prefix("examples/") {
+        Some("judge") => cargo.args(["--package", "vpc-camera", "--example", "judge"]),
         Some(example) => cargo.args(["--example", example]),
         None if name.ends_with(".so") => cargo.arg("--lib"),
         // Its package is no default member.

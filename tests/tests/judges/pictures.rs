@@ -9,7 +9,7 @@ use std::path::Path;
 use markers::Family;
 use scene::{Pose, Scene};
 use serde::Deserialize;
-use testkit::{Place, real, root, tell};
+use testkit::{Place, program, real, tell};
 use vision::{Look, Renderer, Tag};
 
 /// Centres of tags by number, px.
@@ -69,21 +69,11 @@ fn motion(frames: &[Frame]) -> [f64; 2] {
     [moved[moved.len() / 2], moved[moved.len() - 1]]
 }
 
-/// What `cargo judge` says of a folder, as the tests of `vpc-camera` build it.
+/// What `cargo judge` says of a folder.
 fn judged(folder: &Path, tags: &str, flags: &[&str]) -> Vec<Found> {
-    let mut cargo = testkit::command(env!("CARGO"));
-    cargo.args([
-        "run",
-        "--quiet",
-        "-p",
-        "vpc-camera",
-        "--example",
-        "judge",
-        "--",
-        "--json",
-    ]);
-    cargo.args(["--tags", tags]).args(flags);
-    let said = testkit::python::run(cargo.arg(folder).current_dir(root())).unwrap();
+    let mut judge = testkit::command(program("examples/judge"));
+    judge.args(["--json", "--tags", tags]).args(flags);
+    let said = testkit::python::run(judge.arg(folder)).unwrap();
     let lines = said.lines().filter(|line| line.starts_with('{'));
     lines
         .map(|line| serde_json::from_str(line).unwrap())
