@@ -21,13 +21,14 @@ const FRAMES: usize = 50;
 /// Time from one frame of an animation to the next, and time that the last one stays, s.
 const FRAME_S: (f64, f64) = (0.07, 2.0);
 
-/// What is drawn of a run: features, way points and twists, period by period.
+/// What is drawn of a run: features, way points, foreseen ways and twists, period by period.
 #[derive(Clone, Debug)]
 pub struct Drawn {
     /// Strategy and outcome.
     pub title: String,
     path: Vec<Points>,
     way_points: Vec<Option<Points>>,
+    foreseen: Vec<Vec<Points>>,
     twists: Vec<[f64; 6]>,
 }
 
@@ -49,7 +50,11 @@ impl Draw for Run {
         let seconds = self.steps as f64 * task.ts;
         let title = format!("{name}: {outcome} after {seconds:.1} s");
         let history = self.history.iter();
-        Drawn::of(title, history.map(|m| (&m.features, &m.way_point, m.twist)))
+        let drawn = Drawn::of(title, history.map(|m| (&m.features, &m.way_point, m.twist)));
+        Drawn {
+            foreseen: self.history.iter().map(|m| m.foreseen.clone()).collect(),
+            ..drawn
+        }
     }
 }
 
@@ -86,6 +91,7 @@ impl Drawn {
             title,
             path,
             way_points,
+            foreseen: Vec::new(),
             twists,
         }
     }
@@ -158,7 +164,8 @@ pub fn comparison<'a, 'r, R: Draw + 'r>(
     }
 }
 
-/// Runs side by side as they go on, until the last of those that arrive has arrived.
+/// Runs side by side as they go on, with the way that is foreseen from there, until the last of
+/// those that arrive has arrived.
 pub fn animation<R: Draw>(scene: &Scene, task: &Task, runs: &[&(String, R)]) -> Animation {
     let length = |drawn: &Drawn| drawn.path.len();
     let drawn: Vec<(bool, Drawn)> = runs
@@ -174,6 +181,8 @@ pub fn animation<R: Draw>(scene: &Scene, task: &Task, runs: &[&(String, R)]) -> 
             let mut plane = drawn.plane(scene, task, periods);
             let has_ended = *is_success && periods >= length(drawn);
             if !has_ended {
+                let foreseen = drawn.foreseen.get(periods - 1);
+                plane.foreseen = foreseen.cloned().unwrap_or_default();
                 let name = drawn.title.split(':').next().unwrap_or_default();
                 plane.title = format!("{name}: {:.1} s", periods as f64 * task.ts);
             }

@@ -99,6 +99,8 @@ pub struct Moment {
     pub twist: [f64; 6],
     /// Way point tracked, px.
     pub way_point: Option<Vec<[f64; 2]>>,
+    /// The way of each point that foresight expects, px.
+    pub foreseen: Vec<Vec<[f64; 2]>>,
 }
 
 /// Runs the daemon from a start for the scene's time, against a camera without flaws. As
@@ -254,6 +256,7 @@ pub fn through<S: Steering>(
                 inputs,
                 twist,
                 way_point: way_point(&record),
+                foreseen: record.foreseen().map(Iterator::collect).collect(),
             });
         }
         standing = twist;

@@ -54,7 +54,7 @@ impl Mark {
             Self::Goal => "goal",
             Self::Occlusion => "occlusion",
             Self::WayPoints => "way points",
-            Self::Foreseen => "foreseen at the start",
+            Self::Foreseen => "foreseen",
             Self::Hidden => "hidden, 2 deviations",
         }
     }
@@ -118,7 +118,7 @@ pub struct ImagePlane<'a> {
     pub goal: Points,
     /// Way points tracked, px.
     pub way_points: Vec<Points>,
-    /// The way of each point that was foreseen at the start, px.
+    /// The way of each point that was foreseen, px: in a still, at the start.
     pub foreseen: Vec<Points>,
     /// Outlines of where hidden points are believed, px, with the index of each point.
     pub ellipses: Vec<(usize, Points)>,
