@@ -1,9 +1,10 @@
-//! Commands for developers. `cargo xtask release` makes a release.
+//! Commands for developers. `cargo xtask release` makes a release, `cargo xtask book` the book.
 //!
 //! `cargo xtask codegen` writes every file that is made from the code,
 //! `cargo xtask codegen --check` fails if one of them is stale. Each kind of file has a module
 //! here; [`ARTEFACTS`] lists them.
 
+mod book;
 mod c_header;
 mod configuration;
 mod contract;
@@ -114,6 +115,12 @@ enum Command {
         #[arg(long)]
         check: bool,
     },
+    /// Make the book, one site of all Markdown
+    Book {
+        /// A directory that is empty, not there, or has a book
+        #[arg(default_value = "out/book")]
+        directory: PathBuf,
+    },
     /// Make a release: source, Debian package, wheel, notes and checksums
     Release {
         /// A directory that is empty or not there
@@ -152,6 +159,7 @@ fn codegen(check: bool) -> anyhow::Result<()> {
 fn main() -> anyhow::Result<()> {
     match Command::parse() {
         Command::Codegen { check } => codegen(check),
+        Command::Book { directory } => book::book(&directory),
         Command::Release { directory } => release::release(&directory),
     }
 }

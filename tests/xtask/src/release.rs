@@ -77,13 +77,17 @@ fn notes(changes: &str) -> anyhow::Result<&str> {
 }
 
 /// A program, at the root of the repository.
-fn tool(program: impl Into<PathBuf>) -> Command {
+pub fn tool(program: impl Into<PathBuf>) -> Command {
     let mut command = testkit::command(program.into());
     command.current_dir(root());
     command
 }
 
-fn said(command: &mut Command) -> anyhow::Result<String> {
+/// Its standard output.
+///
+/// # Errors
+/// The command, and standard error or how it ended.
+pub fn said(command: &mut Command) -> anyhow::Result<String> {
     run(command).map_err(|error| anyhow::anyhow!("{command:?}: {error}"))
 }
 
