@@ -23,8 +23,8 @@ const APART: usize = 1999;
 const SNAPSHOTS: usize = 32;
 
 /// Fields in which two runs may differ: times and what follows from them, properties of the
-/// machine, and the robot's messages, which are not synchronised.
-const OWN: [&str; 12] = [
+/// machine, and the messages of robot and policy, which are not synchronised.
+const OWN: [&str; 14] = [
     "stamp",
     "overruns",
     "lost_records",
@@ -36,6 +36,8 @@ const OWN: [&str; 12] = [
     "realtime",
     "robot_input",
     "robot_seen",
+    "desired_input",
+    "desired_seen",
     "features_seen",
 ];
 
