@@ -61,6 +61,10 @@ pub struct Arguments {
     #[arg(long)]
     pub arm: bool,
 
+    /// Start disarmed, whatever the configuration says.
+    #[arg(long, conflicts_with = "arm")]
+    pub disarmed: bool,
+
     /// After N cycles, brake and stop.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles: Option<u64>,

@@ -141,6 +141,11 @@ impl<'m> Cycle<'m> {
         self.count
     }
 
+    /// Whether an operator has stopped it since it was last armed.
+    pub fn was_stopped(&self) -> bool {
+        self.control.was_stopped()
+    }
+
     /// Whether an operator has armed it.
     pub fn has_consent(&self) -> bool {
         self.control.has_consent()

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use ipc::{ControllerPorts, Domain, StopFile};
+use ipc::{Asked, ControllerPorts, Domain, StopFile};
 use messages::{ClockMode, Hold, RealTime};
 use program::Exit;
 
@@ -21,6 +21,7 @@ use crate::log::Log;
 use crate::panicked::Panicked;
 use crate::preflight::{Cost, Facts};
 use crate::published::Published;
+use crate::reload::{Again, Reload, Successor};
 use crate::report::{Report, ReportError};
 use crate::service::{Notifier, Progress, Service, ServiceError};
 use crate::shutdown::{Hangup, Stop};
@@ -59,6 +60,8 @@ pub enum Failure {
     Log(std::io::Error),
     #[error("signal handlers: {0}")]
     Signals(std::io::Error),
+    #[error("cannot begin again: {0}")]
+    Again(std::io::Error),
     #[error("{most} commands in a row could not be sent; the last: {source}")]
     Send {
         most: u32,
@@ -76,9 +79,8 @@ impl Failure {
             Self::Join(_) | Self::Instance(_) | Self::Open(_) | Self::Stop(_) => Exit::Unavailable,
             Self::Report(_) => Exit::CannotCreate,
             Self::Recorder(RecorderError::Join(_) | RecorderError::Open(_)) => Exit::Unavailable,
-            Self::Recorder(_) | Self::Log(_) | Self::Signals(_) | Self::Send { .. } => {
-                Exit::Software
-            }
+            Self::Recorder(_) | Self::Log(_) => Exit::Software,
+            Self::Signals(_) | Self::Again(_) | Self::Send { .. } => Exit::Software,
         }
     }
 }
@@ -102,7 +104,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Some(Command::Replay(arguments)) => replay::command::run(arguments),
         None if arguments.preflight => preflight(&arguments),
         None if arguments.print_config => print_config(&arguments),
-        None => match run(&arguments) {
+        None => match run(&arguments).and_then(begun_again) {
             Ok(()) => Exit::Ok,
             Err(failure) => {
                 if let Ok(service) = Service::by_environment(Duration::ZERO) {
@@ -113,6 +115,11 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         },
     };
     exit.into()
+}
+
+/// Lets the successor begin, if there is to be one.
+fn begun_again(successor: Option<Successor>) -> Result<(), Failure> {
+    successor.map_or(Ok(()), |successor| Err(Failure::Again(successor.begin())))
 }
 
 /// Writes a failure to standard error.
@@ -162,11 +169,11 @@ fn preflight(arguments: &Arguments) -> Exit {
     if found.fit { Exit::Ok } else { Exit::Attention }
 }
 
-/// Checks everything, then runs the loop in this thread.
+/// Checks everything, then runs the loop in this thread. Returns what is to begin after it.
 ///
 /// # Errors
 /// [`Failure`], with its cause.
-pub fn run(arguments: &Arguments) -> Result<(), Failure> {
+pub fn run(arguments: &Arguments) -> Result<Option<Successor>, Failure> {
     // First of all: a hang-up while the memory is read must not kill.
     let (start_up, stop) = Stop::by_signals().map_err(Failure::Signals)?;
     let hangup = Hangup::by_signal().map_err(Failure::Signals)?;
@@ -183,7 +190,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
         if let Some(warning) = loaded.warning() {
             eprintln!("vpcd: warning: {warning}");
         }
-        return Ok(());
+        return Ok(None);
     }
     let period_ns = decision::rules::ns(loaded.scene().sampling_time());
     let period = Duration::from_nanos(period_ns);
@@ -205,16 +212,24 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     let printed = Config::print(arguments)?;
     let published = publish(&loaded, &printed, domain.directory());
     let (producer, consumer) = flight::queue();
-    let progress = Progress::default();
+    let (progress, again) = (Progress::default(), Again::default());
     let about = About::new(printed, &loaded);
     let telemetry = Telemetry {
         consumer,
         dump: dump.clone(),
         flight: Recorder::new(&config, about, rate_hz),
-        notifier: Notifier::new(service, period, progress.clone(), stop.clone(), hangup),
+        notifier: Notifier::new(
+            service,
+            period,
+            progress.clone(),
+            stop.clone(),
+            again.clone(),
+        ),
+        reload: Reload::new(hangup, stop.clone(), again.clone()),
         arm: loaded.scene().arm.clone(),
     };
     let recorder = telemetry.start(&config.domain)?;
+    let successor = Successor::ready().map_err(Failure::Again)?;
     tracing::info!("{}", describe(&config, &loaded));
     if let Some(warning) = loaded.warning() {
         tracing::warn!("{warning}");
@@ -245,6 +260,7 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     };
     drop(std::panic::take_hook());
     instance.has_consent = cycle.has_consent();
+    let was_stopped = cycle.was_stopped();
     drop(cycle);
     let machine = Report {
         realtime: realtime.0,
@@ -259,7 +275,16 @@ pub fn run(arguments: &Arguments) -> Result<(), Failure> {
     drop(instance);
     outcome?;
     stopped.map_err(|source| Failure::Send { most: 1, source })?;
-    reported
+    reported?;
+    // Who asked to stop meanwhile wins.
+    if !again.is_asked() || stop.last_signal().map_err(Failure::Signals)? {
+        return Ok(None);
+    }
+    if was_stopped {
+        // So that no arming but one that names the stop moves the successor either.
+        Asked::in_domain(domain.directory())?;
+    }
+    Ok(Some(successor))
 }
 
 /// Leaves scene and configuration in the domain, where viewers and recorders find them. They do

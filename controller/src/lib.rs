@@ -31,6 +31,7 @@ pub mod pll;
 pub mod preflight;
 pub mod published;
 pub mod realtime;
+pub mod reload;
 pub mod replay;
 pub mod report;
 pub mod service;

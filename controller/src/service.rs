@@ -15,9 +15,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use tracing::{error, info, warn};
+use tracing::{error, warn};
 
-use crate::shutdown::{Hangup, Stop};
+use crate::reload::Again;
+use crate::shutdown::Stop;
 
 /// Time between two status lines.
 const STATUS: Duration = Duration::from_secs(1);
@@ -231,7 +232,7 @@ impl Schedule {
     }
 }
 
-/// Notifies the service manager from the ordinary thread, and answers SIGHUP.
+/// Notifies the service manager from the ordinary thread.
 #[derive(Debug)]
 pub struct Notifier {
     line: Option<Socket>,
@@ -242,7 +243,7 @@ pub struct Notifier {
     is_cut: bool,
     progress: Progress,
     stop: Stop,
-    hangup: Hangup,
+    again: Again,
 }
 
 impl Default for Notifier {
@@ -253,7 +254,7 @@ impl Default for Notifier {
             Duration::ZERO,
             Progress::default(),
             Stop::default(),
-            Hangup::default(),
+            Again::default(),
         )
     }
 }
@@ -265,7 +266,7 @@ impl Notifier {
         period: Duration,
         progress: Progress,
         stop: Stop,
-        hangup: Hangup,
+        again: Again,
     ) -> Self {
         Self {
             line: service.line,
@@ -275,18 +276,13 @@ impl Notifier {
             is_cut: false,
             progress,
             stop,
-            hangup,
+            again,
         }
     }
 
     /// One look at the loop, every few milliseconds; says what is due. `status` is asked once a
     /// second.
     pub fn tend(&mut self, status: impl FnOnce() -> String) {
-        if self.hangup.take() {
-            info!(
-                "SIGHUP: nothing to do; the configuration is read at the start only (restart to apply it)"
-            );
-        }
         self.say_due(status, self.stop.is_asked());
         self.log_standstill();
     }
@@ -304,9 +300,13 @@ impl Notifier {
             return;
         };
         let mut message = String::new();
+        let stopping = match self.again.is_asked() {
+            true => format!("RELOADING=1\nMONOTONIC_USEC={}\n", ipc::now_ns() / 1000),
+            false => "STOPPING=1\n".to_owned(),
+        };
         for (is_due, word) in [
             (due.ready, "READY=1\n"),
-            (due.stopping, "STOPPING=1\n"),
+            (due.stopping, &*stopping),
             (due.watchdog, "WATCHDOG=1\n"),
         ] {
             if is_due {

@@ -1,4 +1,4 @@
-//! Signals: SIGTERM and SIGINT end the daemon, SIGHUP is noted.
+//! Signals: SIGTERM and SIGINT end the daemon, SIGHUP lets it begin again.
 
 use std::io;
 use std::sync::Arc;
@@ -7,9 +7,15 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use program::StartUp;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
+/// What ends the daemon.
+const SIGNALS: [i32; 2] = [SIGTERM, SIGINT];
+
 /// Set once the daemon is to stop.
 #[derive(Clone, Debug, Default)]
-pub struct Stop(Arc<AtomicBool>);
+pub struct Stop {
+    is_asked: Arc<AtomicBool>,
+    is_signalled: Arc<AtomicBool>,
+}
 
 impl Stop {
     /// A stop flag that SIGTERM and SIGINT set. Repeating them changes nothing: an impatient
@@ -20,22 +26,32 @@ impl Stop {
     /// # Errors
     /// If the operating system refuses the handlers.
     pub fn by_signals() -> io::Result<(StartUp, Self)> {
-        let signals = [SIGTERM, SIGINT];
-        let (start_up, stop) = (StartUp::on(signals)?, Self::default());
-        for signal in signals {
-            program::set_on(signal, &stop.0)?;
+        let (start_up, stop) = (StartUp::on(SIGNALS)?, Self::default());
+        for signal in SIGNALS {
+            program::set_on(signal, &stop.is_signalled)?;
         }
         Ok((start_up, stop))
     }
 
     /// Asks for the stop.
     pub fn ask(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.is_asked.store(true, Ordering::Relaxed);
     }
 
-    /// Whether to stop. Relaxed: no other data is published with the flag.
+    /// Whether to stop. Relaxed: no other data is published with the flags.
     pub fn is_asked(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.is_asked.load(Ordering::Relaxed) || self.is_signalled.load(Ordering::Relaxed)
+    }
+
+    /// Whether a signal has come. From here on signals end the process at once, so that none is
+    /// lost.
+    ///
+    /// # Errors
+    /// If the operating system refuses the handlers.
+    pub fn last_signal(&self) -> io::Result<bool> {
+        // Dropped, it would no longer be in force.
+        std::mem::forget(StartUp::on(SIGNALS)?);
+        Ok(self.is_signalled.load(Ordering::Relaxed))
     }
 }
 

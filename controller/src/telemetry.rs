@@ -11,6 +11,7 @@ use messages::{Action, Message, Outcome, Reply, Request};
 use tracing::{debug, error, info, warn};
 
 use crate::flight::{Consumer, DumpRequest, Recorder};
+use crate::reload::Reload;
 use crate::service::Notifier;
 use crate::summary::Summary;
 use decision::snapshot;
@@ -48,6 +49,8 @@ pub struct Telemetry {
     pub flight: Recorder,
     /// Talks to the service manager.
     pub notifier: Notifier,
+    /// Answers SIGHUP.
+    pub reload: Reload,
     /// The scene's arm.
     pub arm: Option<scene::Arm>,
 }
@@ -98,6 +101,7 @@ impl Telemetry {
                 return summary;
             }
             log_refused_requests(&mut port);
+            self.reload.tend();
             self.notifier.tend(|| summary.status());
             std::thread::sleep(PAUSE);
         }

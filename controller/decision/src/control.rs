@@ -165,6 +165,11 @@ impl<'m> ControlStep<'m> {
         self.supervisor.rules()
     }
 
+    /// Whether an operator has stopped it since it was last armed.
+    pub fn was_stopped(&self) -> bool {
+        self.supervisor.was_stopped()
+    }
+
     /// Whether an operator has armed it.
     pub fn has_consent(&self) -> bool {
         self.supervisor.has_consent()

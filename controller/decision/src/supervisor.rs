@@ -158,6 +158,11 @@ impl Supervisor {
         self.stops
     }
 
+    /// Whether an operator has stopped it since it was last armed.
+    pub fn was_stopped(&self) -> bool {
+        self.is_stop_new
+    }
+
     /// Whether an operator has armed it.
     pub fn has_consent(&self) -> bool {
         self.has_consent

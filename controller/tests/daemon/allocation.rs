@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use controller::cycle::{Cycle, Pace};
 use controller::flight::{DumpRequest, Recorder, queue};
+use controller::reload::Reload;
 use controller::service::Notifier;
 use controller::shutdown::Stop;
 use controller::telemetry::Telemetry;
@@ -85,6 +86,7 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
                 dump: dump.clone(),
                 flight: Recorder::nowhere(1000),
                 notifier: Notifier::default(),
+                reload: Reload::default(),
                 arm: None,
             };
             let recorder = telemetry.start(&place.domain()).unwrap();

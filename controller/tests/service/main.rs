@@ -10,5 +10,6 @@ mod namespace;
 mod notify;
 mod package;
 mod permission;
+mod reload;
 mod signal;
 mod unit;

@@ -11,6 +11,8 @@ pub mod kernel;
 mod quantile;
 mod replace;
 #[cfg(feature = "process")]
+mod sibling;
+#[cfg(feature = "process")]
 mod signals;
 #[cfg(feature = "process")]
 mod start;
@@ -22,8 +24,10 @@ pub use fifo::take_fifo;
 pub use quantile::quantile;
 pub use replace::{publish, replace};
 #[cfg(feature = "process")]
+pub use sibling::sibling;
+#[cfg(feature = "process")]
 pub use signals::{
-    StartUp, end_within, is_ignored, set_on, stop_on_signals, stop_or_end_on_signals,
+    StartUp, end_within, ignore, is_ignored, set_on, stop_on_signals, stop_or_end_on_signals,
 };
 #[cfg(feature = "process")]
 pub use start::{arguments, log, notify};

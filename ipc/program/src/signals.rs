@@ -84,6 +84,19 @@ pub fn set_on(signal: i32, flag: &Arc<AtomicBool>) -> io::Result<()> {
     registered.map(drop).map_err(refused(signal))
 }
 
+/// Ignores a signal from here on, also in a program that this process executes.
+///
+/// # Errors
+/// There is no such signal, or it cannot be ignored.
+#[allow(unsafe_code)]
+pub fn ignore(signal: i32) -> io::Result<()> {
+    // SAFETY: it names no handler, so that no code of ours runs in a signal.
+    match unsafe { libc::signal(signal, libc::SIG_IGN) } {
+        libc::SIG_ERR => Err(refused(signal)(io::Error::last_os_error())),
+        _ => Ok(()),
+    }
+}
+
 /// Whether the process was begun with this signal ignored, as `nohup` does with SIGHUP.
 pub fn is_ignored(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
@@ -138,6 +151,15 @@ mod tests {
         set_on(signal_hook::consts::SIGWINCH, &winch).unwrap();
         raise(SIGUSR2).unwrap();
         assert!(usr2.load(Ordering::Relaxed) && !winch.load(Ordering::Relaxed));
+    }
+
+    #[test]
+    fn an_ignored_signal_does_nothing() {
+        ignore(signal_hook::consts::SIGALRM).unwrap();
+        raise(signal_hook::consts::SIGALRM).unwrap();
+        assert!(is_ignored(signal_hook::consts::SIGALRM));
+        let error = ignore(SIGKILL).unwrap_err();
+        assert!(error.to_string().contains("signal 9"), "{error}");
     }
 
     #[test]

@@ -1,0 +1,186 @@
+//! SIGHUP: the daemon begins again with its files as they are now, and disarmed.
+//!
+//! Another process of the same program checks the files (`--check-only`) while the loop goes on; if
+//! they are wrong, nothing changes. Then the daemon ends as by SIGTERM, and the process executes its
+//! program again: it keeps its number, so that a service manager knows it.
+
+use std::ffi::OsString;
+use std::io;
+use std::os::unix::ffi::OsStringExt;
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{self, Sender};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use tracing::{error, info};
+
+use crate::shutdown::{Hangup, Stop};
+
+/// Longest check of the files.
+const CHECK: Duration = Duration::from_secs(30);
+/// Stack of the thread that waits, bytes: real-time scheduling locks it in memory.
+const STACK: usize = 64 * 1024;
+/// What Linux adds to the path of a program that was replaced, by an update for instance.
+const REPLACED: &[u8] = b" (deleted)";
+
+/// Answers SIGHUP, in the ordinary thread.
+#[derive(Debug, Default)]
+pub struct Reload {
+    hangup: Hangup,
+    stop: Stop,
+    again: Again,
+    check: Option<Check>,
+}
+
+/// A check under way.
+#[derive(Debug)]
+struct Check {
+    process: Child,
+    until: Instant,
+}
+
+/// Set once the daemon is to end in order to begin again.
+#[derive(Clone, Debug, Default)]
+pub struct Again(Arc<AtomicBool>);
+
+impl Again {
+    /// Whether it is to begin again.
+    pub fn is_asked(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+impl Reload {
+    /// Answers `hangup` by `stop`, once `again` is set.
+    pub fn new(hangup: Hangup, stop: Stop, again: Again) -> Self {
+        Self {
+            hangup,
+            stop,
+            again,
+            check: None,
+        }
+    }
+
+    /// One look, every few milliseconds.
+    pub fn tend(&mut self) {
+        if self.stop.is_asked() {
+            return;
+        }
+        let outcome = match self.check.as_mut() {
+            Some(check) => check.outcome(),
+            None if self.hangup.take() => {
+                info!("SIGHUP: checks the files");
+                Check::begin().map(|check| {
+                    self.check = Some(check);
+                    false
+                })
+            }
+            None => return,
+        };
+        match outcome {
+            Ok(false) => return,
+            Ok(true) => {
+                info!("SIGHUP: begins again with the files as they are now, disarmed");
+                self.again.0.store(true, Ordering::Relaxed);
+                self.stop.ask();
+            }
+            Err(why) => error!("SIGHUP: goes on with what it has read before: {why}"),
+        }
+        self.check = None;
+    }
+}
+
+impl Check {
+    #[expect(clippy::disallowed_methods, reason = "it ends by itself")]
+    fn begin() -> io::Result<Self> {
+        let mut command = Command::new(file()?);
+        command.args(arguments()).arg("--check-only");
+        command.stdin(Stdio::null()).stdout(Stdio::null());
+        Ok(Self {
+            process: command.stderr(Stdio::piped()).spawn()?,
+            until: Instant::now() + CHECK,
+        })
+    }
+
+    /// Whether the files are good; `false` while that is not known.
+    fn outcome(&mut self) -> io::Result<bool> {
+        let Some(status) = self.process.try_wait()? else {
+            if Instant::now() < self.until {
+                return Ok(false);
+            }
+            self.process.kill()?;
+            self.process.wait()?;
+            let message = format!("the check took more than {} s", CHECK.as_secs());
+            return Err(io::Error::new(io::ErrorKind::TimedOut, message));
+        };
+        if status.success() {
+            return Ok(true);
+        }
+        let told = self.process.stderr.take().map(io::read_to_string);
+        let told = told.transpose()?.unwrap_or_default();
+        Err(io::Error::other(format!("{} ({status})", told.trim())))
+    }
+}
+
+/// A thread that is never real-time, and executes the program again: the new one has the scheduling
+/// of the thread by which it begins.
+#[derive(Debug)]
+pub struct Successor {
+    go: Sender<()>,
+    thread: JoinHandle<Option<io::Error>>,
+}
+
+impl Successor {
+    /// Starts the thread, which waits. To be called before the caller takes real-time scheduling.
+    ///
+    /// # Errors
+    /// There is no thread.
+    pub fn ready() -> io::Result<Self> {
+        let (go, is_time) = mpsc::channel();
+        let thread = std::thread::Builder::new().name("again".to_owned());
+        // Where nobody says so, it ends.
+        let wait = move || is_time.recv().ok().map(|()| execute());
+        let thread = thread.stack_size(STACK).spawn(wait)?;
+        Ok(Self { go, thread })
+    }
+
+    /// Executes the program again; of this one nothing is left but its process.
+    pub fn begin(self) -> io::Error {
+        let _ = self.go.send(());
+        let why = self.thread.join().ok().flatten();
+        why.unwrap_or_else(|| io::Error::other("the thread that begins again died"))
+    }
+}
+
+/// Executes the program again; returns only if that failed.
+#[expect(clippy::disallowed_methods, reason = "it begins no child")]
+fn execute() -> io::Error {
+    match file() {
+        Ok(file) => {
+            // Until the new one listens, another SIGHUP would end it.
+            match program::ignore(signal_hook::consts::SIGHUP) {
+                Ok(()) => Command::new(file).args(arguments()).exec(),
+                Err(error) => error,
+            }
+        }
+        Err(error) => error,
+    }
+}
+
+/// The program's file, which an update may have replaced.
+fn file() -> io::Result<PathBuf> {
+    let path = std::env::current_exe()?.into_os_string().into_vec();
+    let path = path.strip_suffix(REPLACED).unwrap_or(&path).to_vec();
+    Ok(OsString::from_vec(path).into())
+}
+
+/// The command line, with `--disarmed` in place of `--arm`.
+fn arguments() -> impl Iterator<Item = OsString> {
+    let given = std::env::args_os().skip(1);
+    let kept = given.filter(|word| word != "--arm" && word != "--disarmed");
+    kept.chain(["--disarmed".into()])
+}
