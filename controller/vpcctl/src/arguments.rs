@@ -13,6 +13,7 @@ use crate::plot::PlotArguments;
 use crate::record::RecordArguments;
 use crate::teach::TeachArguments;
 use crate::units::seconds;
+use crate::visit::VisitArguments;
 
 /// Watch and command vpcd, the visual predictive controller.
 ///
@@ -66,8 +67,12 @@ pub enum Command {
     /// Play vpcd to the program that carries out twists, and judge what it reports: the camera
     /// moves some centimetres along its x axis and back.
     CheckBridge(CheckBridgeArguments),
-    /// Write a scene with the goal that the camera sees now. Hold the camera there, still.
+    /// Write a scene with the goal that the camera sees now. Hold the camera there, still. The daemon
+    /// may take it up.
     Teach(TeachArguments),
+    /// Bring the camera to the goals of several scenes, one after the other: the daemon begins again
+    /// with each, and is armed.
+    Visit(VisitArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),
     /// Serve a live view to browsers on this machine, or to Foxglove.
@@ -195,7 +200,7 @@ pub struct ServeArguments {
     #[arg(long)]
     pub expose: bool,
 
-    /// Let the page arm, disarm and stop, when opened at the printed address with its token.
+    /// Let the page arm, disarm, stop and teach, when opened at the printed address with its token.
     #[arg(long)]
     pub control: bool,
 

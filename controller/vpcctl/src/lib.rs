@@ -27,9 +27,11 @@ pub mod server;
 pub mod settings;
 pub mod status;
 pub mod stop;
+pub mod take_up;
 pub mod teach;
 pub mod units;
 pub mod view;
+pub mod visit;
 pub mod watch;
 pub mod watcher;
 
@@ -118,6 +120,7 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             return serve::run(watcher, plane, with.listen, with.control);
         }
         Command::Teach(with) => (teach::teach(&directory, with)?, Exit::Ok),
+        Command::Visit(with) => return visit::visit(&directory, with),
         Command::Init(with) => (init::init(with)?, Exit::Ok),
         Command::Completions { shell } => {
             let script = manual::completions(*shell);

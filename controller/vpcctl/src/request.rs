@@ -90,7 +90,7 @@ fn open(domain: &Domain, end: Instant) -> Result<OperatorPorts, OpenError> {
 }
 
 /// The outcome of a request in one line, and its exit code.
-fn outcome(reply: &Reply) -> (String, Exit) {
+pub fn outcome(reply: &Reply) -> (String, Exit) {
     let action = match Action::from_code(reply.action) {
         // By the command's name.
         Some(Action::Record) => "flight".to_owned(),

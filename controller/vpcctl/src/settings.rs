@@ -8,6 +8,10 @@ use serde::Deserialize;
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
 pub struct Settings {
+    /// The scene.
+    pub scene: Option<PathBuf>,
+    /// The memory of motion.
+    pub memory: Option<PathBuf>,
     /// `[flight]`.
     pub flight: Flight,
     /// `[safety]`.

@@ -2,7 +2,7 @@
 //!
 //! Somebody holds the camera where it shall go, by hand or in the robot's guiding mode. The mean of
 //! the features gives the goal by the law's own estimate of a pose; all else is that of the old
-//! scene.
+//! scene. A running daemon takes it up, if that is asked for.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -19,6 +19,7 @@ use vpc::{Task, camera, pose};
 
 use crate::failure::Failure;
 use crate::presence;
+use crate::take_up::{self, Daemon, with_suffix};
 use crate::units::seconds;
 
 /// Least images with the whole pattern.
@@ -40,8 +41,17 @@ pub struct TeachArguments {
     pub scene: Option<PathBuf>,
 
     /// The scene to write; in the folder of the old one, if that names other files.
-    #[arg(short, long, value_name = "FILE")]
-    pub output: PathBuf,
+    #[arg(short, long, value_name = "FILE", required_unless_present = "replace")]
+    pub output: Option<PathBuf>,
+
+    /// Build its memory of motion, too, beside it.
+    #[arg(long)]
+    pub build: bool,
+
+    /// Put scene and memory, which is built, in the places of the daemon's; those stay as *.before.
+    /// The daemon begins again with the new ones, disarmed.
+    #[arg(long, conflicts_with_all = ["output", "scene", "build", "force"])]
+    pub replace: bool,
 
     /// How long to look, 0.05 to 3600 s.
     #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = seconds)]
@@ -61,56 +71,101 @@ struct Seen {
     scatter_px: f64,
 }
 
-/// Looks, and writes the scene: what was taught.
+/// Looks, writes the scene, builds its memory and lets the daemon take up both, as far as that is
+/// asked for: what was taught.
 ///
 /// # Errors
 /// The file exists, no features come, the camera moves, the points are not those of the pattern, or
-/// the goal is none, because a point would be in an occlusion.
+/// the goal is none, because a point would be in an occlusion. Also those of [`Daemon`].
 pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure> {
-    let name = with.output.display();
-    if !with.force && with.output.symlink_metadata().is_ok() {
+    let Some(output) = &with.output else {
+        return replace(directory, with.watch);
+    };
+    let name = output.display();
+    if !with.force && output.symlink_metadata().is_ok() {
         let message = format!("{name}: exists; allowed: a new file, or --force");
         return Err(Failure::new(Exit::Refused, message));
     }
     let of_daemon = || directory.join(ipc::SCENE_FILE);
-    let path = with.scene.clone().unwrap_or_else(of_daemon);
-    let old = Scene::read(&path)?;
+    let old = with.scene.clone().unwrap_or_else(of_daemon);
+    let mut text = write(directory, &old, output, with.watch)?;
+    let _ = writeln!(text, "wrote {name}");
+    let memory = output.with_extension("vpcmem");
+    let next = format!("vpcd --scene {name} --memory {}", memory.display());
+    let _ = match with.build {
+        true => {
+            take_up::build(output, &memory)?;
+            writeln!(text, "next: {next}, which begins disarmed")
+        }
+        false => writeln!(
+            text,
+            "next: vpc-memory build {name} -o {}; then {next}, which begins disarmed",
+            memory.display()
+        ),
+    };
+    Ok(text)
+}
+
+/// Lets the daemon take up what is seen now: what was taught.
+///
+/// # Errors
+/// As [`teach`].
+pub fn replace(directory: &Path, watch: Duration) -> Result<String, Failure> {
+    let daemon = Daemon::of(directory)?;
+    let scene = with_suffix(&daemon.scene, ".taught");
+    let memory = daemon.memory.as_deref();
+    let memory = memory.map(|memory| with_suffix(memory, ".taught"));
+    // An earlier build that was interrupted had another goal.
+    for left in memory.iter().map(|memory| with_suffix(memory, ".partial")) {
+        if left.exists() {
+            fs::remove_file(&left).map_err(Failure::write(&left))?;
+        }
+    }
+    let mut text = write(directory, &daemon.scene, &scene, watch)?;
+    if let Some(memory) = &memory {
+        take_up::build(&scene, memory)?;
+    }
+    daemon.take_up(&scene, memory.as_deref())?;
+    let _ = writeln!(
+        text,
+        "the daemon has begun again with {}, disarmed\nnext: vpcctl arm",
+        daemon.scene.display()
+    );
+    Ok(text)
+}
+
+/// Looks, and writes the scene: what was seen.
+fn write(directory: &Path, path: &Path, output: &Path, watch: Duration) -> Result<String, Failure> {
+    let old = Scene::read(path)?;
     let domain = presence::join(directory)?;
-    let seen = look(domain.subscriber(usize::MAX)?, old.pattern.len(), with)?;
-    let text = fs::read_to_string(&path)?;
-    let (text, fit_px) = taught(&text, &path, &old, &seen)?;
-    let new = Scene::parse(&text, &with.output.display().to_string())?;
+    let seen = look(domain.subscriber(usize::MAX)?, old.pattern.len(), watch)?;
+    let text = fs::read_to_string(path)?;
+    let (text, fit_px) = taught(&text, path, &old, &seen)?;
+    let new = Scene::parse(&text, &output.display().to_string())?;
     let of_task = |error| Failure::new(Exit::Refused, format!("the goal: {error}"));
     let task = Task::new(&new).map_err(of_task)?;
     let pairs = task.goal.iter().zip(&seen.points);
     let off_px = pairs.map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
-    // What was written is read again, and is what was seen.
+    // What is written was read again, and is what was seen.
     let off_px = off_px.fold(fit_px, f64::max);
     if off_px > FITS_PX {
+        let name = output.display();
         let message = format!("{name}: the goal would be {off_px:.1} px off what was seen");
         return Err(Failure::new(Exit::Software, message));
     }
-    fs::write(&with.output, text).map_err(Failure::write(&with.output))?;
-    Ok(report(with, &new, &seen, off_px))
+    fs::write(output, text).map_err(Failure::write(output))?;
+    Ok(report(&new, &seen, off_px))
 }
 
-fn report(with: &TeachArguments, new: &Scene, seen: &Seen, off_px: f64) -> String {
-    let name = with.output.display();
+fn report(new: &Scene, seen: &Seen, off_px: f64) -> String {
     let [x, y, z] = new.goal.translation;
     let mut text = format!(
-        "taught from {} images, which scatter by {:.2} px: the object at ({x:.3}, {y:.3}, {z:.3}) m, {off_px:.2} px off\n\
-         wrote {name}\n",
+        "taught from {} images, which scatter by {:.2} px: the object at ({x:.3}, {y:.3}, {z:.3}) m, {off_px:.2} px off\n",
         seen.images, seen.scatter_px
     );
     if new.arm.as_ref().is_some_and(|arm| !arm.goal.is_empty()) {
         text += "the arm file has the joints of the old goal: change its `goal`, or take it out\n";
     }
-    let memory = with.output.with_extension("vpcmem");
-    let _ = writeln!(
-        text,
-        "next: vpc-memory build {name} -o {memory}; then vpcd --scene {name} --memory {memory}, which begins disarmed",
-        memory = memory.display()
-    );
     text
 }
 
@@ -118,9 +173,9 @@ fn report(with: &TeachArguments, new: &Scene, seen: &Seen, off_px: f64) -> Strin
 fn look(
     mut features: Subscriber<Features>,
     points: usize,
-    with: &TeachArguments,
+    watch: Duration,
 ) -> Result<Seen, Failure> {
-    let (end, mut images, mut others) = (Instant::now() + with.watch, Vec::new(), 0);
+    let (end, mut images, mut others) = (Instant::now() + watch, Vec::new(), 0);
     while Instant::now() < end {
         while let Some(message) = features.oldest()? {
             let whole = (1_u32 << points.min(MAX_POINTS)) - 1;
@@ -131,7 +186,7 @@ fn look(
         }
         std::thread::sleep(PAUSE);
     }
-    let seconds = with.watch.as_secs_f64();
+    let seconds = watch.as_secs_f64();
     if images.is_empty() && others == 0 {
         let message = format!("nothing on vpc/features within {seconds} s; is a camera at work?");
         return Err(Failure::new(Exit::NoAnswer, message));

@@ -23,6 +23,7 @@ mod faultless;
 mod fixture;
 mod follow;
 mod foresight;
+mod goals;
 mod guardian;
 mod hands;
 mod hang;

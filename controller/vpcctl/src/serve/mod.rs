@@ -28,7 +28,7 @@ use crate::image_plane::ImagePlane;
 use crate::server::{self, field, is_same_origin, refusal};
 use crate::status::{self, Status};
 use crate::watcher::Watcher;
-use crate::{request, stop};
+use crate::{request, stop, teach};
 use feed::Feed;
 use picture::Pictures;
 
@@ -43,6 +43,8 @@ const EVENT: Duration = Duration::from_millis(50);
 const SPARE: &str = "/dev/null";
 /// How long to wait for the daemon's answer.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// How long to look at a goal that is taught.
+const LOOK: Duration = Duration::from_secs(1);
 /// Pause between two looks whether a stop was obeyed.
 const POLL: Duration = Duration::from_millis(2);
 
@@ -57,9 +59,11 @@ struct Server {
     token: Option<String>,
     /// A descriptor that is free for the stop file where connections took all others.
     spare: Mutex<Option<File>>,
+    /// Held while a goal is taught.
+    teaching: tokio::sync::Mutex<()>,
 }
 
-/// Serves the page until a signal comes; with `control`, the page may arm, disarm and stop.
+/// Serves the page until a signal comes; with `control`, the page may arm, disarm, stop and teach a goal.
 ///
 /// # Errors
 /// The domain cannot be joined or watched; the address cannot be used.
@@ -76,6 +80,7 @@ pub fn run(
         views: Arc::new(Semaphore::new(VIEWS)),
         token: control.then(token).transpose()?,
         spare: Mutex::new(Some(File::open(SPARE)?)),
+        teaching: tokio::sync::Mutex::default(),
     });
     // The part behind # stays in the browser: it is not sent, and not logged.
     let token = server.token.as_ref().map(|token| format!("#{token}"));
@@ -97,6 +102,7 @@ pub fn run(
             "/stop",
             post(|server, headers| command(server, headers, Action::Stop)),
         )
+        .route("/teach", post(show_goal))
         .with_state(Arc::clone(&server));
     let routes = server::for_plain_hosts(routes);
     let show = |watcher: &Watcher| {
@@ -133,25 +139,29 @@ async fn events(
     Ok(Sse::new(events.inspect(move |_| _ = &view)))
 }
 
-/// Commands come from our own page, with the token that was printed.
+/// The domain, for whoever may command: our own page, with the token that was printed. Else why not.
+fn commanded(server: &Server, headers: &HeaderMap) -> Result<PathBuf, &'static str> {
+    let Some(token) = &server.token else {
+        return Err("only watching: start with --control to command");
+    };
+    if !is_same_origin(headers) {
+        return Err("not from this page");
+    }
+    if !field(headers, "x-vpc-token").is_some_and(|found| equal(found, token)) {
+        return Err("wrong token: open the address that vpcctl printed");
+    }
+    let status = server.status.lock().unwrap_or_else(PoisonError::into_inner);
+    Ok(status.directory.clone())
+}
+
 async fn command(
     State(server): State<Arc<Server>>,
     headers: HeaderMap,
     action: Action,
 ) -> Response {
-    let forbidden = |reason| refusal(StatusCode::FORBIDDEN, reason);
-    let Some(token) = &server.token else {
-        return forbidden("only watching: start with --control to command");
-    };
-    if !is_same_origin(&headers) {
-        return forbidden("not from this page");
-    }
-    if !field(&headers, "x-vpc-token").is_some_and(|found| equal(found, token)) {
-        return forbidden("wrong token: open the address that vpcctl printed");
-    }
-    let directory = {
-        let status = server.status.lock().unwrap_or_else(PoisonError::into_inner);
-        status.directory.clone()
+    let directory = match commanded(&server, &headers) {
+        Ok(directory) => directory,
+        Err(why) => return refusal(StatusCode::FORBIDDEN, why),
     };
     if action == Action::Stop {
         // Nothing else runs in this thread until the stop file is open.
@@ -173,6 +183,23 @@ async fn command(
         Ok(Ok((line, Exit::Ok))) => line.into_response(),
         Ok(Ok((line, _))) => (StatusCode::CONFLICT, line).into_response(),
         Ok(Err(failure)) => refusal(StatusCode::SERVICE_UNAVAILABLE, &failure.to_string()),
+        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
+    }
+}
+
+/// What the camera sees now becomes the daemon's goal, which takes as long as to build a memory.
+async fn show_goal(State(server): State<Arc<Server>>, headers: HeaderMap) -> Response {
+    let directory = match commanded(&server, &headers) {
+        Ok(directory) => directory,
+        Err(why) => return refusal(StatusCode::FORBIDDEN, why),
+    };
+    let Ok(_turn) = server.teaching.try_lock() else {
+        return refusal(StatusCode::CONFLICT, "a goal is being taught already");
+    };
+    let taught = move || teach::replace(&directory, LOOK);
+    match tokio::task::spawn_blocking(taught).await {
+        Ok(Ok(lines)) => lines.into_response(),
+        Ok(Err(failure)) => refusal(StatusCode::CONFLICT, &failure.to_string()),
         Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
     }
 }

@@ -284,7 +284,7 @@ times     {:>9}{:>10}{:>10}\n",
             && foresight != ForesightCode::Off
         {
             let arrival = match last.arrival_s.is_finite() {
-                true => format!("arrives in {:.1} s", last.arrival_s),
+                true => format!("arrives in {:.1} s", last.arrival_s.max(0.0)),
                 false => warning("no way known".to_owned()),
             };
             let (tried, steps) = (last.candidates, last.simulated);

@@ -490,4 +490,9 @@ fn a_browser_shows_the_run_and_its_buttons_command() {
     browser.wait_for("document.getElementById('answer').textContent.startsWith('arm: done')");
     browser.value("document.getElementById('stop').click()");
     browser.wait_for("document.getElementById('cause').textContent === 'operator'");
+    browser.value("confirm = () => false; document.getElementById('teach').click()");
+    browser.wait_for("document.getElementById('answer').textContent.startsWith('stop')");
+    // The stand-in has left no configuration.
+    browser.value("confirm = () => true; document.getElementById('teach').click()");
+    browser.wait_for("document.getElementById('answer').textContent.includes('config/vpcd.toml')");
 }

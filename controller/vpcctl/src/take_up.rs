@@ -1,0 +1,141 @@
+//! A new scene for a daemon: its memory is built, both take the place of the daemon's files, and
+//! the daemon begins again with them, disarmed.
+
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use program::Exit;
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::failure::Failure;
+use crate::presence::Presence;
+use crate::settings::Settings;
+
+/// What builds memories.
+const BUILDER: &str = "vpc-memory";
+/// Ends the names of files that were there before.
+const BEFORE: &str = ".before";
+/// How long a daemon may check the files, brake and begin again.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// Between two looks.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// A daemon at work, and its files.
+#[derive(Debug)]
+pub struct Daemon {
+    directory: PathBuf,
+    process: Pid,
+    /// Its scene.
+    pub scene: PathBuf,
+    /// Its memory of motion, if it has one.
+    pub memory: Option<PathBuf>,
+}
+
+impl Daemon {
+    /// The daemon of this domain.
+    ///
+    /// # Errors
+    /// None is at work, or it has not left its configuration in the domain.
+    pub fn of(directory: &Path) -> Result<Self, Failure> {
+        let process = Presence::of(directory).process();
+        let process = process.and_then(|process| Pid::from_raw(process.try_into().ok()?));
+        let settings = Settings::of(directory);
+        let scene = settings.scene.ok_or_else(|| {
+            let file = directory.join(ipc::CONFIG_FILE);
+            let message = format!("{}: names no scene; is it vpcd's?", file.display());
+            Failure::new(Exit::Data, message)
+        });
+        Ok(Self {
+            directory: directory.to_owned(),
+            process: process.ok_or_else(|| Failure::no_daemon(directory))?,
+            scene: scene?,
+            memory: settings.memory,
+        })
+    }
+
+    /// Puts these files in the places of the daemon's, and waits until it has begun again,
+    /// disarmed. What was there stays beside, as `*.before`.
+    ///
+    /// # Errors
+    /// A file cannot be moved, or the daemon does not take them: then its files are as before.
+    pub fn take_up(&self, scene: &Path, memory: Option<&Path>) -> Result<(), Failure> {
+        let text = fs::read_to_string(scene)?;
+        let pairs = || {
+            let memory = memory.zip(self.memory.as_deref());
+            [(scene, &*self.scene)].into_iter().chain(memory)
+        };
+        for (_, old) in pairs() {
+            let before = with_suffix(old, BEFORE);
+            fs::copy(old, &before).map_err(Failure::write(&before))?;
+        }
+        for (new, old) in pairs() {
+            fs::rename(new, old).map_err(Failure::write(old))?;
+        }
+        let begun = self.begin_again(&text);
+        if begun.is_err() {
+            for (_, old) in pairs() {
+                fs::rename(with_suffix(old, BEFORE), old).map_err(Failure::write(old))?;
+            }
+        }
+        begun
+    }
+
+    fn begin_again(&self, scene: &str) -> Result<(), Failure> {
+        let process = self.process.as_raw_nonzero();
+        let refused = |why: &str| {
+            let message = format!("the daemon, process {process}, {why}; its files are as before");
+            Failure::new(Exit::Refused, message)
+        };
+        let told = self.directory.join(ipc::SCENE_FILE);
+        let written = |told: &Path| fs::metadata(told)?.modified();
+        let before = written(&told).ok();
+        kill_process(self.process, Signal::HUP).map_err(|error| refused(&error.to_string()))?;
+        let end = Instant::now() + PATIENCE;
+        while Instant::now() < end {
+            // While it begins there is none.
+            let is_new = written(&told).is_ok_and(|at| Some(at) != before);
+            if is_new && fs::read_to_string(&told).is_ok_and(|told| told == scene) {
+                return Ok(());
+            }
+            std::thread::sleep(PAUSE);
+        }
+        Err(refused("did not take the new files: its log says why"))
+    }
+}
+
+/// The path with this after its last letter.
+pub fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
+    let mut name = OsString::from(path);
+    name.push(suffix);
+    name.into()
+}
+
+/// Builds the memory of a scene; its progress goes to standard error.
+///
+/// # Errors
+/// There is no builder, or it fails.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "it shares the terminal's Ctrl-C, and keeps what it has"
+)]
+pub fn build(scene: &Path, memory: &Path) -> Result<(), Failure> {
+    let mut command = Command::new(program::sibling(BUILDER));
+    let status = command
+        .arg("build")
+        .arg(scene)
+        .arg("-o")
+        .arg(memory)
+        .status();
+    let status = status.map_err(|error| {
+        let message = format!("{BUILDER}: {error}; allowed: one beside vpcctl, or in PATH");
+        Failure::new(Exit::NoInput, message)
+    })?;
+    if status.success() {
+        return Ok(());
+    }
+    let message = format!("{BUILDER} build {}: {status}", scene.display());
+    Err(Failure::new(Exit::Software, message))
+}

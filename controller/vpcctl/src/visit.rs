@@ -1,0 +1,126 @@
+//! `visit`: the goals of several scenes, one after the other.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use clap::Args;
+use messages::{Action, Outcome, TwistState};
+use program::Exit;
+
+use crate::failure::Failure;
+use crate::status::Status;
+use crate::take_up::{Daemon, with_suffix};
+use crate::units::seconds;
+use crate::watcher::Watcher;
+use crate::{output, request};
+
+/// How long a daemon that has begun again may take until it sees camera and robot.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// How long it may take to answer.
+const ANSWER: Duration = Duration::from_secs(2);
+/// Between two looks.
+const PAUSE: Duration = Duration::from_millis(10);
+
+/// The command line of `visit`.
+#[derive(Clone, Debug, Args)]
+pub struct VisitArguments {
+    /// The scenes, in this order; beside each its memory of motion, NAME.vpcmem, if the daemon has
+    /// one. Files that a scene names must lie beside the daemon's scene.
+    #[arg(value_name = "FILE", required = true)]
+    pub scenes: Vec<PathBuf>,
+
+    /// How long the way to a goal may take, 0.05 to 3600 s.
+    #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
+    pub within: Duration,
+}
+
+/// Lets the daemon take up each scene, arms it, and waits until the camera has arrived. Says so for
+/// each.
+///
+/// # Errors
+/// As [`Daemon`]. Whoever stops or disarms ends the visit, and so does a goal that is not reached in
+/// time, after which the daemon is disarmed.
+pub fn visit(directory: &Path, with: &VisitArguments) -> Result<Exit, Failure> {
+    // A wrong file is told before anything moves.
+    for path in &with.scenes {
+        scene::Scene::read(path)?;
+    }
+    for path in &with.scenes {
+        let daemon = Daemon::of(directory)?;
+        let scene = copy(path, &daemon.scene)?;
+        let memory = daemon.memory.as_deref();
+        let memory = memory.map(|memory| copy(&path.with_extension("vpcmem"), memory));
+        daemon.take_up(&scene, memory.transpose()?.as_deref())?;
+        let begin = arm(directory)?;
+        arrive(directory, begin, with.within).map_err(|failure| {
+            let message = format!("{}: {failure}", path.display());
+            Failure::new(failure.exit, message)
+        })?;
+        let seconds = begin.elapsed().as_secs_f64();
+        output::write(&format!(
+            "arrived at {} after {seconds:.1} s\n",
+            path.display()
+        ))?;
+    }
+    Ok(Exit::Ok)
+}
+
+/// A copy beside the file whose place it is to take.
+fn copy(from: &Path, place: &Path) -> Result<PathBuf, Failure> {
+    let to = with_suffix(place, ".next");
+    let read = |error| Failure::new(Exit::NoInput, format!("{}: {error}", from.display()));
+    let bytes = fs::read(from).map_err(read)?;
+    fs::write(&to, bytes).map_err(Failure::write(&to))?;
+    Ok(to)
+}
+
+/// Arms, as soon as the daemon sees camera and robot; when that was. A stop since then, or before, is
+/// not armed over.
+fn arm(directory: &Path) -> Result<Instant, Failure> {
+    let end = Instant::now() + PATIENCE;
+    loop {
+        let reply = request::send(directory, &request::arm(0), ANSWER);
+        let reply = match reply {
+            // It begins.
+            Err(_) if Instant::now() < end => None,
+            reply => Some(reply?),
+        };
+        let outcome = reply.as_ref().and_then(messages::Reply::outcome);
+        match (outcome, reply) {
+            (Some(Outcome::Done), _) => return Ok(Instant::now()),
+            (Some(Outcome::Stopped), Some(reply)) => return Err(refused(&reply)),
+            (_, Some(reply)) if Instant::now() >= end => return Err(refused(&reply)),
+            _ => std::thread::sleep(PAUSE),
+        }
+    }
+}
+
+fn refused(reply: &messages::Reply) -> Failure {
+    Failure::new(Exit::Refused, request::outcome(reply).0.trim_end())
+}
+
+/// Waits until the camera has arrived.
+fn arrive(directory: &Path, begin: Instant, within: Duration) -> Result<(), Failure> {
+    let armed_ns = ipc::now_ns();
+    let mut watcher = Watcher::open(directory)?;
+    let mut status = Status::new(&watcher);
+    while begin.elapsed() < within {
+        status.update(&mut watcher)?;
+        let latest = status.view.latest();
+        let latest = latest.filter(|record| record.stamp.published_ns > armed_ns);
+        match latest.and_then(|record| TwistState::from_code(record.state)) {
+            Some(TwistState::Arrived) => return Ok(()),
+            Some(TwistState::Disarmed) => {
+                let (state, cause, _) = status.headline();
+                let message = format!("{state}: {}", cause.unwrap_or_default());
+                return Err(Failure::new(Exit::Attention, message));
+            }
+            _ => std::thread::sleep(PAUSE),
+        }
+    }
+    request::send(directory, &request::plain(Action::Disarm), ANSWER)?;
+    let seconds = within.as_secs_f64();
+    let message = format!("not arrived within {seconds} s; disarmed");
+    Err(Failure::new(Exit::Attention, message))
+}
