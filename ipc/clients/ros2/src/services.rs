@@ -1,8 +1,10 @@
-//! std_srvs/Trigger: arm, arm_after_stop, disarm, stop. Runs in a thread of its own and waits for
+//! std_srvs/Trigger: arm, arm_after_stop, disarm, stop, teach. Runs in a thread of its own and waits for
 //! nothing, so that no request keeps a stop waiting.
 
 use std::hash::{BuildHasher, RandomState};
+use std::io;
 use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
@@ -27,6 +29,7 @@ const UNREADABLE: &str = "its request is of another middleware: is the key servi
 pub struct Services {
     stop: TriggerServer,
     asks: [(TriggerServer, Action); 3],
+    teach: TriggerServer,
 }
 
 /// Of [`Services::asks`]: arms in spite of the stop that the last refusal of `arm` has told.
@@ -45,6 +48,7 @@ impl Services {
                 (ros.trigger("disarm")?, Action::Disarm),
                 (ros.trigger("arm_after_stop")?, Action::Arm),
             ],
+            teach: ros.trigger("teach")?,
         })
     }
 }
@@ -71,6 +75,8 @@ pub struct RequestServer<'a> {
     told_stops: u32,
     /// Stops that wait for an answer, and until when.
     stops: Vec<(RmwRequestId, Instant)>,
+    /// A goal that is being taught, by a program of its own, and for whom.
+    teaching: Option<(RmwRequestId, Child)>,
     /// The newest stop, until a vpcd has obeyed it.
     asked: Option<Asked>,
     /// Nothing but zeros goes out: from a stop on, until a vpcd has obeyed it, or was armed by this
@@ -99,6 +105,7 @@ impl<'a> RequestServer<'a> {
             waiting: Vec::new(),
             told_stops: 0,
             stops: Vec::new(),
+            teaching: None,
             asked: None,
             is_stopping,
             tell,
@@ -111,8 +118,10 @@ impl<'a> RequestServer<'a> {
         for server in 0..self.services.asks.len() {
             self.take_asks(server);
         }
+        self.take_teaching();
         self.answer_asks();
         self.answer_stops();
+        self.answer_teaching();
     }
 
     fn take_stops(&mut self) {
@@ -177,6 +186,57 @@ impl<'a> RequestServer<'a> {
     /// For the log, which this thread does not wait for.
     fn note(&self, words: String) {
         let _ = self.tell.try_send(Event::Service(words));
+    }
+
+    fn take_teaching(&mut self) {
+        let server = &self.services.teach;
+        let from = match server.receive_request() {
+            Ok(None) => return,
+            Ok(Some((from, _))) => from,
+            Err(_) => return self.note(format!("teach is refused: {UNREADABLE}")),
+        };
+        if self.teaching.is_some() {
+            let words = "a goal is being taught already".to_owned();
+            return self.respond(server, from, false, words);
+        }
+        match self.teach() {
+            Ok(program) => self.teaching = Some((from, program)),
+            Err(why) => self.respond(server, from, false, format!("vpcctl: {why}")),
+        }
+    }
+
+    /// Starts the program that looks, builds the memory and lets vpcd take both up.
+    #[expect(clippy::disallowed_methods, reason = "what it has begun it may end")]
+    fn teach(&self) -> io::Result<Child> {
+        let mut command = Command::new(program::sibling("vpcctl"));
+        command.arg("--domain").arg(&self.directory);
+        command.args(["teach", "--replace"]).stdin(Stdio::null());
+        // Its few lines fit into a pipe.
+        command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn()
+    }
+
+    fn answer_teaching(&mut self) {
+        let Some((from, program)) = &mut self.teaching else {
+            return;
+        };
+        let (is_taught, words) = match program.try_wait() {
+            Ok(None) => return,
+            Ok(Some(status)) if status.success() => (true, "taught; vpcd is disarmed".to_owned()),
+            Ok(Some(_)) => {
+                let told = program.stderr.take().map(io::read_to_string);
+                (false, told.and_then(Result::ok).unwrap_or_default())
+            }
+            Err(why) => (false, why.to_string()),
+        };
+        let from = *from;
+        self.teaching = None;
+        self.note(format!("teach, by a service of ROS 2: {}", words.trim()));
+        self.respond(
+            &self.services.teach,
+            from,
+            is_taught,
+            words.trim().to_owned(),
+        );
     }
 
     fn take_asks(&mut self, server: usize) {

@@ -333,8 +333,12 @@ impl Plan {
 
 fn vpcd(place: &Place, is_guarded: bool) -> Running {
     let mut command = testkit::command(program("vpcd"));
-    command.arg("--scene").arg(scene_file());
-    command.arg("--memory").arg(memory_file());
+    let [scene, memory] = ["scene.toml", "memory.vpcmem"].map(|name| place.path(name));
+    for (from, to) in [(scene_file(), &scene), (memory_file(), &memory)] {
+        std::fs::copy(from, to).expect("a copy, which a goal may change");
+    }
+    command.arg("--scene").arg(scene);
+    command.arg("--memory").arg(memory);
     command.arg("--domain").arg(place.domain());
     if is_guarded {
         command.args(["--strategy", "follow"]);

@@ -216,7 +216,9 @@ class Peer:
         begin = time.monotonic()
         self.graph.send(name)
         reply = None
-        while reply is None and time.monotonic() < begin + 5.0:
+        # To build a memory takes some time.
+        patience = 60.0 if name == "teach" else 5.0
+        while reply is None and time.monotonic() < begin + patience:
             self.tick()
             reply = self.graph.reply(name)
         success, message = reply or (None, "no reply")

@@ -2,7 +2,7 @@
 
 use rustix::process::Signal;
 use serde_json::{Value, json};
-use testkit::{eventually, tell};
+use testkit::{eventually, program, tell};
 
 use crate::bench::{Bench, Via};
 
@@ -80,6 +80,32 @@ fn twenty_starts_arrive_beside_cyclonedds_with_tags() {
     bench.diagnosed("vpcd", |status| status["message"] == "disarmed: operator");
     let disarmed = bench.peer.ask("call disarm");
     assert_eq!(disarmed["success"], json!(true), "{disarmed}");
+}
+
+#[test]
+fn a_service_teaches_the_goal_that_the_camera_sees() {
+    let Some(mut bench) = Bench::new("a taught goal", Via::Dds, 155, false) else {
+        return;
+    };
+    let _ = ["vpcctl", "vpc-memory"].map(program);
+    bench.peer.ask("place 0");
+    bench.diagnosed("vpcd", |status| status["message"] == "disarmed: not armed");
+    let before = std::fs::read(bench.place.path("scene.toml")).unwrap();
+    let taught = bench.peer.ask("call teach");
+    assert_eq!(
+        (&taught["success"], &taught["message"]),
+        (&json!(true), &json!("taught; vpcd is disarmed"))
+    );
+    assert_ne!(
+        std::fs::read(bench.place.path("scene.toml")).unwrap(),
+        before
+    );
+    // Why not is told, too.
+    std::fs::remove_file(bench.place.path("scene.toml")).unwrap();
+    let taught = bench.peer.ask("call teach");
+    assert_eq!(taught["success"], json!(false), "{taught}");
+    let words = taught["message"].as_str().unwrap();
+    assert!(words.contains("scene.toml"), "{words}");
 }
 
 #[test]
