@@ -37,7 +37,8 @@ fn build(name: &str) {
         None if name.ends_with(".so") => cargo.arg("--lib"),
         // Its package is no default member.
         None if ["vpc-camera", "vpc-calib", "vpc-ros2"].contains(&name) => {
-            cargo.args(["--package", name])
+            // Features are those of tests, here too.
+            cargo.args(["--package", name, "--package", "testkit", "--bin", name])
         }
         None => cargo.args(["--bin", name]),
     };

@@ -120,44 +120,42 @@ fn sigterm_without_motion_ends_at_once() {
     });
 }
 
-/// A program that waits in its start-up, here for the domain's lock, ends at once.
 #[test]
 fn a_signal_during_start_up_ends_every_program() {
-    for (name, words) in [
-        ("vpcd", &["--config", "controller/vpcd.toml"][..]),
-        ("hw-sim", &["--config", "hw-sim/hw-sim.toml"]),
-        ("vpcctl", &["serve", "--foxglove", "127.0.0.1:0"]),
-        ("vpcctl", &["serve", "--listen", "127.0.0.1:0"]),
-        (
-            "vpc-camera",
-            &[
-                "--source",
-                "shm",
-                "--scene",
-                "ipc/scene/scenes/paper-robot.toml",
-            ],
-        ),
-    ] {
-        let place = Place::new();
-        drop(ipc::Domain::join(&place.domain()).unwrap());
-        let startup = std::fs::File::options()
-            .write(true)
-            .open(place.domain().join("startup"));
-        let startup = startup.unwrap();
-        startup.lock().unwrap();
-        let mut program = testkit::command(testkit::program(name));
-        program.arg("--domain").arg(place.domain()).args(words);
-        let mut program = Running::start(program.current_dir(testkit::root()));
-        std::thread::sleep(Duration::from_millis(500));
-        assert!(program.is_running(), "{name} {words:?} does not wait");
-        program.signal(Signal::TERM);
-        let begin = std::time::Instant::now();
-        let ended = program.ended();
-        // The lock is waited for for 10 s.
-        let took = begin.elapsed();
-        assert!(
-            took < Duration::from_secs(2),
-            "{name} took {took:?}: {ended:?}"
-        );
-    }
+    ends_in_start_up("vpcd", &["--config", "controller/vpcd.toml"]);
+    ends_in_start_up("hw-sim", &["--config", "hw-sim/hw-sim.toml"]);
+    ends_in_start_up("vpcctl", &["serve", "--foxglove", "127.0.0.1:0"]);
+    ends_in_start_up("vpcctl", &["serve", "--listen", "127.0.0.1:0"]);
+}
+
+#[test]
+#[ignore = "needs vpc-camera"]
+fn a_signal_during_start_up_ends_the_camera() {
+    let scene = "ipc/scene/scenes/paper-robot.toml";
+    ends_in_start_up("vpc-camera", &["--source", "shm", "--scene", scene]);
+}
+
+/// A program that waits in its start-up, here for the domain's lock, ends at once.
+fn ends_in_start_up(name: &str, words: &[&str]) {
+    let place = Place::new();
+    drop(ipc::Domain::join(&place.domain()).unwrap());
+    let startup = std::fs::File::options()
+        .write(true)
+        .open(place.domain().join("startup"));
+    let startup = startup.unwrap();
+    startup.lock().unwrap();
+    let mut program = testkit::command(testkit::program(name));
+    program.arg("--domain").arg(place.domain()).args(words);
+    let mut program = Running::start(program.current_dir(testkit::root()));
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(program.is_running(), "{name} {words:?} does not wait");
+    program.signal(Signal::TERM);
+    let begin = std::time::Instant::now();
+    let ended = program.ended();
+    // The lock is waited for for 10 s.
+    let took = begin.elapsed();
+    assert!(
+        took < Duration::from_secs(2),
+        "{name} took {took:?}: {ended:?}"
+    );
 }
