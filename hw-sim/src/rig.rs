@@ -129,7 +129,7 @@ impl Rig {
     }
 
     /// The object in the camera frame, where it is now.
-    fn object(&self) -> RigidPose {
+    pub fn object(&self) -> RigidPose {
         let time_s = self.progress.since_s(self.now_ns());
         self.motion.moved(&self.arm.object(), time_s)
     }

@@ -1,9 +1,10 @@
-//! One closed-loop run of the daemon's decision step against the emulated robot, in simulated time:
+//! One closed-loop run of a decision step against the emulated robot, in simulated time:
 //! no processes, no clocks, and the same bits in every run. Everything else is what `hw-sim` steps
 //! in real time.
 
+use decision::Inputs;
 use hw_sim::End;
-use hw_sim::cell::{Cell, Exposed, Order};
+use hw_sim::cell::{Cell, Order};
 use hw_sim::eye::Shot;
 use hw_sim::following::FollowingReport;
 use hw_sim::motion::Motion;
@@ -53,7 +54,7 @@ pub struct RobotRun {
     /// Frames with a hidden marker.
     #[serde(rename = "hidden_frames")]
     pub hidden: u64,
-    /// Mean over the cycles of l(v) / Np, against the goal.
+    /// Mean over the cycles of l(v) / Np, against the goal; a NaN where no cycle tells it.
     pub cost: f64,
     /// How well the camera followed after the arrival, where that was measured.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -126,97 +127,213 @@ pub struct Course<'a> {
     pub rule: Option<&'a ServoRule>,
 }
 
-/// Runs the daemon from a start until the run is decided. It decides once a period, from the newest
-/// frame that was delivered until then, and hears of the robot where the scene has an arm.
+/// Why a run cannot be made.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError<E> {
+    /// The cell.
+    #[error(transparent)]
+    Rig(#[from] RigError),
+    /// What steers gives no command.
+    #[error("{0}")]
+    Steering(E),
+}
+
+/// Lets `steering` run from a start until the run is decided. As [`Trial`].
 ///
 /// # Errors
-/// [`RigError`]: the start is out of the robot's reach, or a setting out of its range.
-pub fn run(
+/// [`RunError`]: the start is out of the robot's reach, a setting is out of its range, or
+/// `steering` gives no command.
+pub fn run<S: Steering>(
     scene: &Scene,
     settings: &RigSettings,
     course: Course<'_>,
-    daemon: &mut Simulated,
+    steering: &mut S,
     start: &Pose,
-) -> Result<RobotRun, RigError> {
-    daemon.restart();
-    let mut rig = Rig::new(scene, start, settings)?.follow(course.motion, course.follow_s);
-    let np = daemon.law().settings().np as f64;
-    let mut history = Vec::new();
-    let (mut cycle, mut shot): (u32, Option<Shot>) = (0, None);
-    let (mut shown, mut hidden, mut cost, mut cycles) = (None, 0, 0.0, 0.0_f64);
-    let (mut standing, mut stopped, mut hold) = ([0.0; 6], None, None);
-    while rig.progress().end.is_none() && stopped.is_none() {
-        let now_ns = rig.now_ns();
-        let instant = rig.look(now_ns)?;
-        shot = instant.shot.or(shot);
-        let release_s = f64::from(cycle) * scene.sampling_time();
-        if now_ns as f64 >= release_s * 1e9 {
-            cycle += 1;
-            let frame = shot.take();
-            hidden += u64::from(frame.as_ref().is_some_and(|shot| !shot.is_whole()));
-            let robot = scene.arm.as_ref().map(|_| rig.state());
-            let inputs = Simulated::heard(frame.map(message), robot, now_ns);
-            let record = daemon.decide(&inputs);
-            daemon.think();
-            if record.cost.is_finite() {
-                cost += record.cost / np;
-                cycles += 1.0;
-            }
-            let is_armed = record.state != TwistState::Disarmed.code();
-            let is_within = daemon.is_within_limits(&record.twist, &standing);
-            standing = record.twist;
-            let q = rig.record().q.into();
-            let ruled = course.rule.map(|rule| rule.scale(&q, &record.twist));
-            rig.obey(&Order {
-                twist: ruled.unwrap_or(record.twist),
-                elbow: record.elbow,
-                sent_ns: now_ns,
-                until_ns: now_ns + (1e9 * PERIODS * scene.sampling_time()) as u64,
-                is_armed,
-            });
-            shown = way_point(&record);
-            hold = Hold::from_code(record.hold).map(|hold| hold.to_string());
-            if rig.obeys_controller() {
-                stopped = stop(is_armed, is_within, &record);
-            }
-        }
-        if let Some(Exposed { points, .. }) = instant.exposed {
-            history.push(Sample {
-                time_s: rig.progress().time_s,
-                features: points.to_vec(),
-                twist: rig.aimed(),
-                way_point: shown.clone(),
-                arm: rig.record(),
-            });
-        }
-        rig.advance();
+) -> Result<RobotRun, RunError<S::Error>> {
+    steering.begin().map_err(RunError::Steering)?;
+    let np = steering.np();
+    let mut trial = Trial::new(scene, settings, course, start, np)?;
+    while let Some(inputs) = trial.receive()? {
+        let record = steering.answer(&inputs).map_err(RunError::Steering)?;
+        let is_within = steering.is_within_limits(&record.twist, &trial.standing);
+        trial.obey(&record, is_within);
     }
-    let reason = match &rig.progress().end {
-        _ if stopped.is_some() => stopped,
-        Some(End::Arrived) => None,
-        Some(End::Reflex) => Some(Reason::Reflex),
-        Some(End::Violation(_) | End::LostSight) => Some(Reason::Violation),
-        _ => Some(Reason::TimeOut),
-    };
-    let arm = rig.report().clone();
-    Ok(RobotRun {
-        success: reason.is_none() && arm.is_clean(),
-        reason,
-        goal: None,
-        hold,
-        time_s: rig.progress().time_s,
-        arrived_s: rig.progress().arrived_s,
-        least_clearance_px: rig.progress().referee.least_clearance(),
-        least_between_px: rig.progress().referee.least_between(),
-        least_edge_px: rig.progress().referee.least_edge(),
-        error_px: rig.progress().error_px,
-        hidden,
-        cost: cost / cycles.max(1.0),
-        following: rig.progress().following(),
-        release: rig.release(),
-        arm,
-        history,
-    })
+    Ok(trial.into_run())
+}
+
+/// A run of the emulated robot, which stands still wherever the controller decides: once a period,
+/// from the newest frame that was delivered until then. It hears of the robot where the scene has
+/// an arm.
+#[derive(Debug)]
+pub struct Trial<'a> {
+    scene: Scene,
+    rig: Rig,
+    rule: Option<&'a ServoRule>,
+    np: f64,
+    cycle: u32,
+    /// Delivered, and not yet received.
+    shot: Option<Shot>,
+    /// What this millisecond showed, and has not yet gone into the history.
+    exposed: Option<Vec<[f64; 2]>>,
+    is_looked_at: bool,
+    shown: Option<Vec<[f64; 2]>>,
+    hidden: u64,
+    cost: f64,
+    cycles: f64,
+    standing: [f64; 6],
+    stopped: Option<Reason>,
+    hold: Option<String>,
+    history: Vec<Sample>,
+}
+
+impl<'a> Trial<'a> {
+    /// A robot at a start; costs are means over so many steps ahead.
+    ///
+    /// # Errors
+    /// [`RigError`]: the start is out of the robot's reach, or a setting out of its range.
+    pub fn new(
+        scene: &Scene,
+        settings: &RigSettings,
+        course: Course<'a>,
+        start: &Pose,
+        np: usize,
+    ) -> Result<Self, RigError> {
+        let rig = Rig::new(scene, start, settings)?;
+        Ok(Self {
+            scene: scene.clone(),
+            rig: rig.follow(course.motion, course.follow_s),
+            rule: course.rule,
+            np: np as f64,
+            cycle: 0,
+            shot: None,
+            exposed: None,
+            is_looked_at: false,
+            shown: None,
+            hidden: 0,
+            cost: 0.0,
+            cycles: 0.0,
+            standing: [0.0; 6],
+            stopped: None,
+            hold: None,
+            history: Vec::new(),
+        })
+    }
+
+    /// Goes on to the next decision; returns what is received then, or `None` where the run has
+    /// ended. [`obey`](Self::obey) what is decided, then call this again.
+    ///
+    /// # Errors
+    /// [`RigError`]: a picture could not be made.
+    pub fn receive(&mut self) -> Result<Option<Inputs>, RigError> {
+        self.end_step();
+        while self.rig.progress().end.is_none() && self.stopped.is_none() {
+            let now_ns = self.rig.now_ns();
+            let seen = self.rig.look(now_ns)?;
+            self.is_looked_at = true;
+            self.shot = seen.shot.or(self.shot.take());
+            self.exposed = seen.exposed.map(|exposed| exposed.points.to_vec());
+            let release_s = f64::from(self.cycle) * self.scene.sampling_time();
+            if now_ns as f64 >= release_s * 1e9 {
+                self.cycle += 1;
+                let frame = self.shot.take();
+                let is_hidden = frame.as_ref().is_some_and(|shot| !shot.is_whole());
+                self.hidden += u64::from(is_hidden);
+                let robot = self.scene.arm.as_ref().map(|_| self.rig.state());
+                return Ok(Some(Simulated::heard(frame.map(message), robot, now_ns)));
+            }
+            self.end_step();
+        }
+        Ok(None)
+    }
+
+    /// Takes what was decided on what was received. A command beyond the limits ends the run.
+    pub fn obey(&mut self, record: &CycleRecord, is_within: bool) {
+        if record.cost.is_finite() {
+            self.cost += record.cost / self.np;
+            self.cycles += 1.0;
+        }
+        let is_armed = record.state != TwistState::Disarmed.code();
+        self.standing = record.twist;
+        let q = self.rig.record().q.into();
+        let ruled = self.rule.map(|rule| rule.scale(&q, &record.twist));
+        let now_ns = self.rig.now_ns();
+        self.rig.obey(&Order {
+            twist: ruled.unwrap_or(record.twist),
+            elbow: record.elbow,
+            sent_ns: now_ns,
+            until_ns: now_ns + (1e9 * PERIODS * self.scene.sampling_time()) as u64,
+            is_armed,
+        });
+        self.shown = way_point(record);
+        self.hold = Hold::from_code(record.hold).map(|hold| hold.to_string());
+        if self.rig.obeys_controller() {
+            self.stopped = stop(is_armed, is_within, record);
+        }
+    }
+
+    /// Ends the millisecond that was looked at.
+    fn end_step(&mut self) {
+        if !std::mem::take(&mut self.is_looked_at) {
+            return;
+        }
+        if let Some(features) = self.exposed.take() {
+            self.history.push(Sample {
+                time_s: self.rig.progress().time_s,
+                features,
+                twist: self.rig.aimed(),
+                way_point: self.shown.clone(),
+                arm: self.rig.record(),
+            });
+        }
+        self.rig.advance();
+    }
+
+    /// The cell, which only this trial steps.
+    pub fn rig(&mut self) -> &mut Rig {
+        &mut self.rig
+    }
+
+    /// True features of the newest exposure, px.
+    pub fn features(&self) -> &[[f64; 2]] {
+        let last = || self.history.last().map(|sample| &sample.features);
+        self.exposed
+            .as_ref()
+            .or_else(last)
+            .map_or(&[], Vec::as_slice)
+    }
+
+    /// The result; the run so far, if it has not ended.
+    pub fn into_run(mut self) -> RobotRun {
+        let progress = self.rig.progress();
+        let reason = match &progress.end {
+            _ if self.stopped.is_some() => self.stopped,
+            Some(End::Arrived) => None,
+            Some(End::Reflex) => Some(Reason::Reflex),
+            Some(End::Violation(_) | End::LostSight) => Some(Reason::Violation),
+            _ => Some(Reason::TimeOut),
+        };
+        let arm = self.rig.report().clone();
+        let release = self.rig.release();
+        let progress = self.rig.progress();
+        RobotRun {
+            success: reason.is_none() && arm.is_clean(),
+            reason,
+            goal: None,
+            hold: self.hold,
+            time_s: progress.time_s,
+            arrived_s: progress.arrived_s,
+            least_clearance_px: progress.referee.least_clearance(),
+            least_between_px: progress.referee.least_between(),
+            least_edge_px: progress.referee.least_edge(),
+            error_px: progress.error_px,
+            hidden: self.hidden,
+            cost: self.cost / self.cycles,
+            following: progress.following(),
+            release,
+            arm,
+            history: self.history,
+        }
+    }
 }
 
 /// A delivered frame as the daemon receives it.

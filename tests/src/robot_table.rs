@@ -74,7 +74,7 @@ pub struct RobotRow {
 }
 
 /// The law's settings for the robot: the paper's on-line settings of its second experiment.
-fn law(flags: &RobotFlags, base: Settings) -> Settings {
+pub fn law(flags: &RobotFlags, base: Settings) -> Settings {
     Settings {
         iterations: 10,
         tolerance: 1e-6,
@@ -85,8 +85,20 @@ fn law(flags: &RobotFlags, base: Settings) -> Settings {
     }
 }
 
+/// The scene as the law believes it to be.
+pub fn believed(scene: &Scene, flags: &RobotFlags) -> Scene {
+    let mut believed = scene.clone();
+    if flags.ignore_marker_size {
+        believed.marker_size = 0.0;
+    }
+    if flags.ignore_arm {
+        believed.arm = None;
+    }
+    believed
+}
+
 /// The cell for one start.
-fn cell(
+pub fn cell(
     scene: &Scene,
     arm: &ArmSettings,
     flags: &RobotFlags,
@@ -141,13 +153,7 @@ pub fn table(
     let edges = edges.unwrap_or_default();
     let chosen = flags.only.map_or(0..starts.len(), |only| only..only + 1);
     let mut all = Vec::new();
-    let mut believed = scene.clone();
-    if flags.ignore_marker_size {
-        believed.marker_size = 0.0;
-    }
-    if flags.ignore_arm {
-        believed.arm = None;
-    }
+    let believed = believed(scene, flags);
     let rule = flags.servo_rule.then(ServoRule::new);
     let known = scene.arm.as_ref().map(arm::Arm::from);
     let goal = |start: usize, edge: Option<&Start>| {
