@@ -1,14 +1,20 @@
-//! Flags of `cargo table`.
+//! Flags of `cargo table`, which are keywords in Python.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 
 use clap::error::ErrorKind;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+use decision::OnLoss;
 use hw_sim::motion::{HELP, Motion, MotionKeys};
+use hw_sim::robot::truth::Truth;
+use hw_sim::sensor::Flaws;
+use scene::Scene;
 use toml::Value;
 use toml_schema::{Document, FileError};
 use vpc::Settings;
 
+use crate::run::World;
 use crate::spec::Spec;
 
 /// Settings of the law, and errors of the camera.
@@ -132,6 +138,16 @@ impl Common {
         }
     }
 
+    /// The scene as the law of a free camera believes it to be: the same images, from pattern and
+    /// goal of another size.
+    pub fn believed(&self, scene: &Scene) -> Scene {
+        let wrong = Truth {
+            depth: self.depth_error,
+            ..Truth::default()
+        };
+        wrong.scene(scene)
+    }
+
     /// How the pattern moves.
     pub fn motion(&self) -> Motion {
         Motion::new(&self.motion)
@@ -153,6 +169,64 @@ impl Common {
         check("--brake-s", self.brake_s, 0.0, 10.0)?;
         check("--rate", self.rate.unwrap_or(30.0), 1.0, 1000.0)?;
         check("--depth-error", self.depth_error, -0.9, 9.0)
+    }
+}
+
+/// The camera that flies freely.
+#[derive(Args, Clone, Debug)]
+pub struct FreeFlags {
+    /// Frames between exposure and delivery.
+    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
+    pub delay: u16,
+    /// The camera moves by G times its command.
+    #[arg(long, value_name = "G", default_value_t = 1.0)]
+    pub gain: f64,
+    /// Probability that a frame does not show one of its points.
+    #[arg(long, value_name = "P", default_value_t = 0.0)]
+    pub hide: f64,
+    /// Once, in the first two seconds, frames show no point for so long.
+    #[arg(long, value_name = "S", default_value_t = 0.0)]
+    pub blackout_s: f64,
+    /// Go back along the camera's way where points are hidden for longer than `safety.blind_s`.
+    #[arg(long)]
+    pub retrace: bool,
+}
+
+impl FreeFlags {
+    /// Checks the ranges.
+    ///
+    /// # Errors
+    /// Names flag, value and range.
+    pub fn check(&self) -> anyhow::Result<()> {
+        check("--gain", self.gain, 0.0, 10.0)?;
+        check("--hide", self.hide, 0.0, 1.0)?;
+        check("--blackout-s", self.blackout_s, 0.0, 60.0)
+    }
+
+    /// What the daemon does where points are hidden for too long.
+    pub fn on_loss(&self) -> OnLoss {
+        match self.retrace {
+            true => OnLoss::Retrace,
+            false => OnLoss::Hold,
+        }
+    }
+
+    /// What the run from this start goes through.
+    pub fn world(&self, common: &Common, start: usize) -> World {
+        let flaws = Flaws {
+            noise_px: common.noise,
+            delay_frames: usize::from(self.delay),
+            drop: common.drop,
+            hide: self.hide,
+            blackout_s: self.blackout_s,
+            seed: common.seed + start as u64,
+        };
+        World {
+            motion: common.motion(),
+            gain: self.gain,
+            follow_s: common.follow_s,
+            ..World::from(flaws)
+        }
     }
 }
 
@@ -249,8 +323,102 @@ pub fn check(flag: &str, value: f64, least: f64, most: f64) -> anyhow::Result<()
     Ok(())
 }
 
+/// The value of a flag that is given by its name.
+#[derive(Clone, Debug)]
+pub enum Given {
+    /// Of a switch.
+    Switch(bool),
+    /// The words of any other; several where it may be given several times.
+    Words(Vec<String>),
+}
+
+/// The flags of a body, and those of all, by their names as keywords: `delay_ms` is `--delay-ms`.
+/// Of all that there are, `is_allowed` says which may be given.
+///
+/// # Errors
+/// What is unknown or out of its range, and what is allowed.
+pub fn of_keywords<Body: Args>(
+    given: &[(String, Given)],
+    is_allowed: impl Fn(&str) -> bool,
+) -> Result<(Common, Body), String> {
+    let command = Command::new("keywords").no_binary_name(true);
+    let command = Body::augment_args(Common::augment_args(command));
+    let names = command.get_arguments().map(|flag| flag.get_id().as_str());
+    let names: Vec<_> = names.filter(|name| is_allowed(name)).collect();
+    let flag = |name: &str| format!("--{}", name.replace('_', "-"));
+    let mut words = Vec::new();
+    for (name, value) in given {
+        if !names.contains(&name.as_str()) {
+            return Err(format!("keyword `{name}`; allowed: {}", names.join(", ")));
+        }
+        match value {
+            Given::Switch(is_on) => words.extend(is_on.then(|| flag(name))),
+            Given::Words(all) => {
+                words.extend(all.iter().map(|word| format!("{}={word}", flag(name))));
+            }
+        }
+    }
+    let read = |command: Command| {
+        let matches = command.try_get_matches_from(words)?;
+        let common = Common::from_arg_matches(&matches)?;
+        Ok((common, Body::from_arg_matches(&matches)?))
+    };
+    let (common, body) = read(command.clone()).map_err(|error: clap::Error| as_keywords(error))?;
+    common.check().map_err(as_keywords)?;
+    Ok((common, body))
+}
+
+/// A message of the command line, with keywords in place of its flags.
+pub fn as_keywords(error: impl Display) -> String {
+    let text = error.to_string();
+    let line = text.lines().next().unwrap_or_default();
+    let line = line.strip_prefix("error: ").unwrap_or(line);
+    let words = line.split(' ').map(|word| match word.split_once("--") {
+        Some((before, flag)) => format!("{before}{}", flag.replace('-', "_")),
+        None => word.to_owned(),
+    });
+    words.collect::<Vec<_>>().join(" ")
+}
+
 /// Flags with the defaults of the command line.
 pub fn defaults<F: Args + FromArgMatches>() -> F {
     let matches = F::augment_args(Command::new("defaults")).get_matches_from(["defaults"]);
     F::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(name: &str, value: Given) -> Result<(Common, RobotFlags), String> {
+        of_keywords(&[(name.to_owned(), value)], |name| name != "only")
+    }
+
+    fn word(text: &str) -> Given {
+        Given::Words(vec![text.to_owned()])
+    }
+
+    #[test]
+    fn keywords_are_the_flags() {
+        let (common, flags) = read("depth_error", word("-1e-1")).unwrap();
+        assert_eq!((common.depth_error, flags.delay_ms), (-0.1, 110.0));
+        let (common, _) = read("no_drift", Given::Switch(true)).unwrap();
+        assert!(common.no_drift && !read("no_drift", Given::Switch(false)).unwrap().0.no_drift);
+        let two = ["conveyor:0.1", "turn:0.2"].map(str::to_owned).to_vec();
+        let (common, _) = read("motion", Given::Words(two)).unwrap();
+        assert_eq!(common.motion.len(), 2);
+    }
+
+    #[test]
+    fn a_bad_keyword_is_named_with_what_is_allowed() {
+        for (name, text, message) in [
+            ("only", "1", "keyword `only`; allowed: strategies, no_comp"),
+            ("noise", "101", "noise = 101; allowed: 0 to 100"),
+            ("depth_error", "-1", "depth_error = -1; allowed: -0.9 to 9"),
+            ("delay_ms", "x", "invalid value 'x' for 'delay_ms <MS>': in"),
+        ] {
+            let refused = read(name, word(text)).unwrap_err();
+            assert!(refused.starts_with(message), "{refused}");
+        }
+    }
 }

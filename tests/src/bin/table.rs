@@ -11,11 +11,8 @@ use anyhow::{Context, bail};
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
-use decision::OnLoss;
 use hw_sim::robot::arm::ArmSettings;
 use hw_sim::robot::described;
-use hw_sim::robot::truth::Truth;
-use hw_sim::sensor::Flaws;
 use indicatif::{ProgressBar, ProgressStyle};
 use memory_blob::MemoryFile;
 use messages::ClockMode;
@@ -25,10 +22,10 @@ use system_tests::children::{Children, attended};
 use system_tests::document::{self, Document};
 use system_tests::external::{External, Method};
 use system_tests::fci_table::{self, FciFlags, Setup};
-use system_tests::flags::{Common, RobotFlags, check};
+use system_tests::flags::{Common, FreeFlags, RobotFlags, check};
 use system_tests::pictures::{self, Draw};
 use system_tests::row::{self, Row};
-use system_tests::run::{Caches, Run, World, through, time};
+use system_tests::run::{Caches, Run, through, time};
 use system_tests::simulated::Simulated;
 use system_tests::source::{Product, Source};
 use system_tests::steering::Steering;
@@ -90,21 +87,8 @@ struct CameraFlags {
     /// before each, which takes a second a run.
     #[arg(long)]
     cold: bool,
-    /// Frames between exposure and delivery.
-    #[arg(long, default_value_t = 0, value_parser = clap::value_parser!(u16).range(..=60))]
-    delay: u16,
-    /// The camera moves by G times its command.
-    #[arg(long, value_name = "G", default_value_t = 1.0)]
-    gain: f64,
-    /// Probability that a frame does not show one of its points.
-    #[arg(long, value_name = "P", default_value_t = 0.0)]
-    hide: f64,
-    /// Once, in the first two seconds, frames show no point for so long.
-    #[arg(long, value_name = "S", default_value_t = 0.0)]
-    blackout_s: f64,
-    /// Go back along the camera's way where points are hidden for longer than `safety.blind_s`.
-    #[arg(long)]
-    retrace: bool,
+    #[command(flatten)]
+    world: FreeFlags,
     /// A method of another program: its row's name, the program and its arguments, separated by
     /// spaces. `tests/peers/README.md` says what it reads and writes. Several have a row each.
     #[arg(long, value_name = "NAME=PROGRAM ARGS")]
@@ -241,28 +225,14 @@ fn free(
     let CameraFlags {
         repeats,
         cold,
-        gain,
-        hide,
-        blackout_s,
-        retrace,
+        ref world,
         ref external,
         timeout_s,
-        ..
     } = cli.camera;
-    let on_loss = match retrace {
-        true => OnLoss::Retrace,
-        false => OnLoss::Hold,
-    };
-    check("--gain", gain, 0.0, 10.0)?;
-    check("--hide", hide, 0.0, 1.0)?;
-    check("--blackout-s", blackout_s, 0.0, 60.0)?;
+    world.check()?;
+    let on_loss = world.on_loss();
     check("--timeout-s", timeout_s, 0.01, 3600.0)?;
-    // The same images, from pattern and goal of another size.
-    let wrong = Truth {
-        depth: cli.common.depth_error,
-        ..Truth::default()
-    };
-    let believed = wrong.scene(scene);
+    let believed = cli.common.believed(scene);
     let is_following = cli.common.is_following();
     let bar = bar((cli.common.strategies.len() + external.len()) * starts.len());
     let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
@@ -345,20 +315,7 @@ fn runs<S: Steering<Error: std::error::Error + Send + Sync + 'static>>(
     }
     let each = starts.iter().enumerate().map(|(start, pose)| {
         bar.set_message(format!("{name}, start {start}"));
-        let flaws = Flaws {
-            noise_px: cli.common.noise,
-            delay_frames: usize::from(cli.camera.delay),
-            drop: cli.common.drop,
-            hide: cli.camera.hide,
-            blackout_s: cli.camera.blackout_s,
-            seed: cli.common.seed + start as u64,
-        };
-        let world = World {
-            motion: cli.common.motion(),
-            gain: cli.camera.gain,
-            follow_s: cli.common.follow_s,
-            ..World::from(flaws)
-        };
+        let world = cli.camera.world.world(&cli.common, start);
         let mut run = through(scene, steering, pose, &world)?;
         then(&mut run, steering)?;
         bar.inc(1);
@@ -377,13 +334,13 @@ fn title(cli: &Cli, starts: usize) -> String {
         ref motion,
         ..
     } = cli.common;
-    let CameraFlags {
+    let FreeFlags {
         delay,
         gain,
         hide,
         blackout_s,
         ..
-    } = cli.camera;
+    } = cli.camera.world;
     let compensation = match no_compensation {
         true => "not compensated",
         false => "compensated",
