@@ -31,24 +31,27 @@ pub fn rows<const N: usize>(
     Ok(flat.as_chunks().0.to_vec())
 }
 
-/// An array-like of shape (N,).
+/// An array-like of shape (`count`,).
 ///
 /// # Errors
 /// `ValueError` names the argument, its shape and what is allowed.
-pub fn vector<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; N]> {
+pub fn list(name: &str, value: &Bound<'_, PyAny>, count: usize) -> PyResult<Vec<f64>> {
     let array: PyArrayLikeDyn<'_, f64, AllowTypeChange> = value.extract()?;
     let shape = array.shape();
-    let mut vector = [0.0; N];
-    if shape != [N] {
-        let message = format!("{name}: shape {shape:?}; allowed: [{N}]");
+    if shape != [count] {
+        let message = format!("{name}: shape {shape:?}; allowed: [{count}]");
         return Err(error::value(message));
     }
-    let numbers = array.as_array();
-    vector
-        .iter_mut()
-        .zip(&numbers)
-        .for_each(|(to, from)| *to = *from);
-    Ok(vector)
+    Ok(array.as_array().iter().copied().collect())
+}
+
+/// An array-like of shape (N,). As [`list`].
+///
+/// # Errors
+/// As [`list`].
+pub fn vector<const N: usize>(name: &str, value: &Bound<'_, PyAny>) -> PyResult<[f64; N]> {
+    let list = list(name, value, N)?;
+    Ok(std::array::from_fn(|k| list[k]))
 }
 
 /// An array of shape (`numbers.len()`,).

@@ -5,9 +5,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use ::vpc::{Settings, Strategy};
 use decision::Input;
 use memory_blob::MemoryFile;
-use messages::{ClockMode, DesiredTwist, Features};
+use messages::{ClockMode, DesiredTwist, Features, RobotMode, RobotState};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyFloat, PyString};
+use scene::MAX_JOINTS;
 use self_cell::self_cell;
 use system_tests::simulated::Simulated;
 use toml::Value;
@@ -32,11 +33,15 @@ self_cell!(
 struct Running {
     daemon: Daemon,
     frames: u64,
+    /// The last command.
+    twist: [f64; 6],
 }
 
 /// The decision of `vpcd` in a time of your own: image points in, camera twist out. It is armed,
 /// and begins with the first call of `step`. Threads may share it: each call waits for the one
 /// before.
+///
+/// Where the scene has an arm, `step` needs its joints, and the law keeps to its limits.
 ///
 /// `settings` are the keys of table `[law]` in the configuration of `vpcd`, with their meanings,
 /// ranges and messages, and `blind_s` and `brake_s` of its table `[safety]`. Defaults are those of
@@ -48,6 +53,8 @@ struct Running {
 pub struct Controller {
     running: Mutex<Running>,
     points: usize,
+    /// Of the scene's arm; 0 without.
+    joints: usize,
 }
 
 /// Longest time in a run, s: more has no exact nanoseconds.
@@ -57,6 +64,24 @@ impl Controller {
     fn running(&self) -> MutexGuard<'_, Running> {
         // What a panic left is a state as any other: `reset` begins anew.
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Positions of the joints, as a message has them.
+    fn joints(&self, joints: &Bound<'_, PyAny>) -> PyResult<[f64; MAX_JOINTS]> {
+        if self.joints == 0 {
+            let allowed = "None, for the scene names no arm (Scene.with_arm)";
+            return Err(error::value(format!(
+                "joints are given; allowed: {allowed}"
+            )));
+        }
+        let given = array::list("joints", joints, self.joints)?;
+        if !given.iter().all(|q| q.is_finite()) {
+            let message = format!("joints = {given:?}; allowed: finite numbers");
+            return Err(error::value(message));
+        }
+        let mut q = [0.0; MAX_JOINTS];
+        q[..self.joints].copy_from_slice(&given);
+        Ok(q)
     }
 }
 
@@ -147,8 +172,10 @@ impl Controller {
             running: Mutex::new(Running {
                 daemon: daemon.map_err(error::value)?,
                 frames: 0,
+                twist: [0.0; 6],
             }),
             points: scene.scene.pattern.len(),
+            joints: scene.joints(),
         })
     }
 
@@ -159,11 +186,16 @@ impl Controller {
     /// never less than before. `visible`: N flags, which points the frame shows; the others may
     /// have any value. `exposed_s`: when the frame was exposed; None: at `time_s`. `wanted`: with
     /// the strategy "follow", the twist that is wanted (m/s and rad/s, camera frame, shape (6,));
-    /// None: the camera brakes.
+    /// None: the camera brakes. `joints`: positions of the joints of the scene's arm, base to
+    /// camera, at `time_s`, rad (m where one slides), shape (J,); None: where the scene has an arm,
+    /// the camera holds.
     ///
     /// Nothing is raised where the points cannot be trusted: the step then has a `hold`, and its
-    /// twist is zero or a brake. Raises ValueError for another shape, or a time out of range.
-    #[pyo3(signature = (points, time_s, visible=None, exposed_s=None, wanted=None))]
+    /// twist is zero or a brake. Raises ValueError for another shape, a time out of range, and
+    /// joints that are not finite or of no arm.
+    #[pyo3(signature = (
+        points, time_s, visible=None, exposed_s=None, wanted=None, joints=None
+    ))]
     fn step(
         &self,
         py: Python<'_>,
@@ -172,7 +204,9 @@ impl Controller {
         visible: Option<Vec<bool>>,
         exposed_s: Option<f64>,
         wanted: Option<&Bound<'_, PyAny>>,
+        joints: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Step> {
+        let joints = joints.map(|joints| self.joints(joints)).transpose()?;
         let wanted = wanted.map(array::twist).transpose()?;
         let now_ns = nanoseconds("time_s", time_s)?;
         let exposed_ns = exposed_s.map_or(Ok(now_ns), |s| nanoseconds("exposed_s", s))?;
@@ -194,7 +228,15 @@ impl Controller {
                 running.frames += 1;
                 frame.stamp.sequence = running.frames;
             }
-            let mut inputs = Simulated::received(frame, now_ns);
+            let robot = joints.map(|q| RobotState {
+                mode: RobotMode::Moving.code(),
+                joints: self.joints as u32,
+                q,
+                // It is taken to do as it was told.
+                twist: running.twist,
+                ..RobotState::default()
+            });
+            let mut inputs = Simulated::heard(frame, robot, now_ns);
             if let Some(twist) = wanted {
                 // For this step alone.
                 let mut desired = DesiredTwist::until(twist, inputs.now_ns + 1);
@@ -202,7 +244,9 @@ impl Controller {
                 inputs.desired = Input::Message(desired);
             }
             let daemon = &mut running.daemon;
-            daemon.with_dependent_mut(|_, daemon| daemon.decide(&inputs))
+            let record = daemon.with_dependent_mut(|_, daemon| daemon.decide(&inputs));
+            running.twist = record.twist;
+            record
         });
         Ok(Step::of(&record))
     }
@@ -233,7 +277,7 @@ impl Controller {
     fn reset(&self, py: Python<'_>) {
         py.detach(|| {
             let running = &mut *self.running();
-            running.frames = 0;
+            (running.frames, running.twist) = (0, [0.0; 6]);
             let daemon = &mut running.daemon;
             daemon.with_dependent_mut(|_, daemon| daemon.restart());
         });

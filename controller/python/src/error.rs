@@ -14,6 +14,11 @@ pub fn value(error: impl Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }
 
+/// A flag of the table out of its range.
+pub fn keyword(error: impl Display) -> PyErr {
+    value(system_tests::flags::as_keywords(error))
+}
+
 /// A file that cannot be read or written.
 pub fn os(error: impl Display, source: &io::Error) -> PyErr {
     let message = error.to_string();

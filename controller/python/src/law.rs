@@ -4,10 +4,10 @@ use ::vpc::{Settings, Task};
 use decision::{Input, Inputs};
 use messages::CycleRecord;
 use pyo3::prelude::*;
+use scene::Scene;
 use system_tests::steering::Steering;
 
-use crate::array;
-use crate::scene::Scene;
+use crate::{array, error};
 
 /// A callable `law(points, time_s)` that returns a twist. Where it has a method `reset`, each run
 /// begins with that.
@@ -18,13 +18,18 @@ pub struct OwnLaw<'py> {
 }
 
 impl<'py> OwnLaw<'py> {
-    /// A law for this scene, under the scene's limits.
+    /// A law for this scene, under the scene's limits; without limits of acceleration, the command
+    /// goes from zero to its limits in `brake_s`, s.
     ///
     /// # Errors
     /// `ValueError`, which no scene that was read gives.
-    pub fn new(law: Bound<'py, PyAny>, scene: &Scene) -> PyResult<Self> {
-        let mut task = scene.task()?;
-        task.acceleration = Settings::default().acceleration(&scene.scene.limits);
+    pub fn new(law: Bound<'py, PyAny>, scene: &Scene, brake_s: f64) -> PyResult<Self> {
+        let settings = Settings {
+            brake_s,
+            ..Settings::default()
+        };
+        let mut task = Task::new(scene).map_err(error::value)?;
+        task.acceleration = settings.acceleration(&scene.limits);
         Ok(Self {
             law,
             task,
@@ -65,7 +70,11 @@ impl Steering for OwnLaw<'_> {
         let time_s = (inputs.now_ns - begin_ns) as f64 * 1e-9;
         let points = match &inputs.features {
             Input::Message(features) => {
-                let points: Vec<_> = features.pairs().collect();
+                let shows = |k: usize| features.visible & (1 << k) != 0;
+                let points = features.pairs().enumerate();
+                let points: Vec<_> = points
+                    .map(|(k, point)| if shows(k) { point } else { [f64::NAN; 2] })
+                    .collect();
                 Some(array::of_rows(py, &points)?)
             }
             _ => None,
@@ -73,6 +82,7 @@ impl Steering for OwnLaw<'_> {
         let twist = array::twist(&self.law.call1((points, time_s))?)?;
         Ok(CycleRecord {
             twist,
+            cost: f64::NAN,
             ..CycleRecord::default()
         })
     }

@@ -1,14 +1,16 @@
-//! The module `vpc` for Python: the law, the memory, the exact camera and the table, over the same
-//! crates as `vpcd` and `cargo table`. No mathematics of its own: it converts arrays and errors,
+//! The module `vpc` for Python: the law, the memory, the emulated cameras and the table, over the
+//! same crates as `vpcd` and `cargo table`. No mathematics of its own: it converts arrays and errors,
 //! and lets other threads of Python run.
 
 mod array;
 mod camera;
 mod controller;
 mod error;
+mod flags;
 mod foreseen;
 mod law;
 mod memory;
+mod panda;
 mod records;
 mod run;
 mod scene;
@@ -25,6 +27,8 @@ mod module {
     use crate::foreseen::Foreseen;
     #[pymodule_export]
     use crate::memory::{Memory, Recall};
+    #[pymodule_export]
+    use crate::panda::Panda;
     #[pymodule_export]
     use crate::records::records;
     #[pymodule_export]

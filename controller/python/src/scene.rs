@@ -43,6 +43,11 @@ impl Scene {
         Ok(Self { scene, name })
     }
 
+    /// Joints of its arm; 0 without.
+    pub fn joints(&self) -> usize {
+        self.scene.arm.as_ref().map_or(0, |arm| arm.joints.len())
+    }
+
     /// The task of the law.
     ///
     /// # Errors
@@ -104,6 +109,28 @@ impl Scene {
             return Err(error::value(format!("scene `{name}`; allowed: {known}")));
         };
         Self::of(files::Scene::parse(text, name), name.to_owned())
+    }
+
+    /// The same scene with the arm of another file (TOML, such as `ipc/scene/scenes/panda.toml`);
+    /// None: without an arm. A memory of one is a memory of the other. Raises as `load`.
+    fn with_arm(&self, path: Option<PathBuf>) -> PyResult<Self> {
+        let arm = path.map(|path| files::Arm::read(&path)).transpose();
+        let mut scene = self.scene.clone();
+        scene.arm = arm.map_err(error::file)?;
+        Self::of(Ok(scene), self.name.clone())
+    }
+
+    /// Least and greatest position (rad), speed (rad/s) and acceleration (rad/s^2) of each joint of
+    /// its arm, base to camera, shape (J, 4), with m in place of rad where one slides; None without
+    /// an arm.
+    #[getter]
+    fn joint_limits<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
+        let limits = self.scene.arm.as_ref().map(|arm| {
+            let joints = arm.joints.iter();
+            let each = joints.map(|it| [it.range[0], it.range[1], it.velocity, it.acceleration]);
+            each.collect::<Vec<_>>()
+        });
+        limits.map(|limits| array::of_rows(py, &limits)).transpose()
     }
 
     /// Its path, or the name of a built-in one.

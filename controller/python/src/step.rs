@@ -14,6 +14,9 @@ use crate::array;
 pub struct Step {
     twist: [f64; 6],
     way_point: Option<Vec<[f64; 2]>>,
+    /// Velocity of the arm's elbow, rad/s; 0 where none was told of, or it is held.
+    #[pyo3(get)]
+    elbow: f64,
     /// "moving", "arrived", "holding", "braking" or "disarmed".
     #[pyo3(get)]
     state: String,
@@ -51,6 +54,7 @@ impl Step {
         Self {
             twist: record.twist,
             way_point: run::way_point(record),
+            elbow: record.elbow,
             state: word(TwistState::from_code(record.state)),
             hold: Hold::from_code(record.hold).map(|hold| hold.to_string()),
             status: word(SolverStatus::from_code(record.status)),

@@ -12,8 +12,9 @@ import tempfile
 import threading
 import time
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +27,15 @@ STARTS = ROOT / "ipc/scene/scenes/paper-sim-starts.csv"
 #: Of three cycles that commanded 0, 1 and 2 m/s along x.
 RECORDING: list[str] = []
 MEMORY = ROOT / "memory-blob/default/paper-sim.vpcmem"
+#: The paper's robot scene ten times as fast, with an arm that the law knows.
+REACH = ROOT / "tests/scenes/reach.toml"
+ROBOT_STARTS = ROOT / "ipc/scene/scenes/paper-robot-starts.csv"
 
 scene = vpc.Scene.load(SCENE)
 memory = vpc.Memory.load(MEMORY, scene)
 starts = vpc.read_starts(STARTS)
+reach = vpc.Scene.load(REACH)
+robot_starts = vpc.read_starts(ROBOT_STARTS)
 
 
 def program(index: int, *arguments: object) -> str:
@@ -54,28 +60,73 @@ def raises(kind: type[BaseException], words: str) -> Iterator[None]:
     raise AssertionError(f"no {kind.__name__}: {words}")
 
 
+def table(*arguments: object) -> list[dict[str, Any]]:
+    """The runs of the command, with the keys of rows here."""
+    with tempfile.TemporaryDirectory() as place:
+        out = Path(place, "out.json")
+        program(0, *arguments, "--json", out)
+        runs: list[dict[str, Any]] = json.loads(out.read_text())["runs"]
+    for run in runs:
+        run |= run.pop("arm", {})
+        if "pose_error" in run:
+            run["error_mm"], run["error_mrad"] = run["pose_error"] or (None, None)
+    return runs
+
+
+def agree(rows: Sequence[vpc.Row | vpc.PandaRow], runs: list[dict[str, Any]]) -> None:
+    assert len(rows) == len(runs) > 0
+    for row, run in zip(rows, runs):
+        differ = {key for key, value in row.items() if run.get(key) != value}
+        assert not differ, (differ, row, run)
+
+
 def test_runs_are_those_of_the_table_to_the_bit() -> None:
     with tempfile.TemporaryDirectory() as place:
         lines = STARTS.read_text().splitlines(keepends=True)
         ten = Path(place, "ten.csv")
         ten.write_text("".join(lines[:11]))
         assert np.array_equal(vpc.read_starts(ten), starts[:10])
-        for given, strategies in [
-            (None, ["ibvs:3", "previous:3", "previous:30", "foresight:3"]),
-            (memory, ["knn:3", "knn5:3", "gpr:3", "foresight:3"]),
-        ]:
-            out = Path(place, "out.json")
-            words = ["--scene", SCENE, "--starts", ten, "--json", out, "--repeats", 1]
-            words += ["--strategies", ",".join(strategies)]
-            program(0, *words, *(["--memory", MEMORY] if given else []))
-            wanted = json.loads(out.read_text())["runs"]
-            rows = vpc.run(scene, starts[:10], strategies, given)
-            assert len(rows) == len(wanted) == 40
-            for row, run in zip(rows, wanted):
-                mm, mrad = run["pose_error"] or (None, None)
-                run |= {"error_mm": mm, "error_mrad": mrad}
-                differ = {key for key, value in row.items() if run.get(key) != value}
-                assert not differ, (row, run)
+        for given, strategies, words, flags in CASES:
+            line = ["--scene", SCENE, "--starts", ten, "--repeats", 1, *words]
+            line += ["--strategies", ",".join(strategies)]
+            runs = table(*line, *(["--memory", MEMORY] if given else []))
+            agree(vpc.run(scene, starts[:10], strategies, given, **flags), runs)
+
+
+#: Memory, strategies, flags of the command, and the same as keywords.
+CASES: list[tuple[vpc.Memory | None, list[str], list[str], dict[str, Any]]] = [
+    (None, ["ibvs:3", "previous:3", "previous:30", "foresight:3"], [], {}),
+    (memory, ["knn:3", "knn5:3", "gpr:3", "foresight:3"], [], {}),
+    (
+        memory,
+        ["gpr:3", "foresight:3"],
+        "--noise 0.5 --drop 0.2 --delay 3 --hide 0.1 --blackout-s 0.3 --retrace --seed 5"
+        " --motion circle:0.02:0.05 --depth-error -0.1 --gain 0.9 --no-drift".split(),
+        dict(
+            noise=0.5, drop=0.2, delay=3, hide=0.1, blackout_s=0.3, retrace=True, seed=5,
+            motion=["circle:0.02:0.05"], depth_error=-0.1, gain=0.9, no_drift=True,
+        ),
+    ),
+]  # fmt: skip
+
+
+def test_runs_of_the_panda_are_those_of_the_table_to_the_bit() -> None:
+    noisy = "--noise 0.3 --drop 0.05 --hand-eye-cm 0.2 --jitter-ms 20 --seed 3 --ignore-arm".split()
+    keywords: dict[str, Any] = dict(
+        noise=0.3, drop=0.05, hand_eye_cm=0.2, jitter_ms=20, seed=3, ignore_arm=True
+    )
+    with tempfile.TemporaryDirectory() as place:
+        lines = ROBOT_STARTS.read_text().splitlines(keepends=True)
+        four = Path(place, "four.csv")
+        four.write_text("".join(lines[:5]))
+        line = ["--robot", "panda", "--scene", REACH, "--starts", four]
+        for words, flags in [([], {}), (noisy, keywords)]:
+            strategies = ["previous:3", "foresight:3"]
+            runs = table(*line, *words, "--strategies", ",".join(strategies))
+            rows = vpc.run(reach, robot_starts[:4], strategies, robot="panda", **flags)
+            agree(rows, runs)
+            assert {"reflexes", "joint_room", "arrived_s", "cost"} <= rows[0].keys()
+            assert any(row["success"] for row in rows)
 
 
 def test_a_loop_in_python_is_the_run() -> None:
@@ -97,6 +148,58 @@ def test_a_loop_in_python_is_the_run() -> None:
             controller.reset()
 
 
+def test_a_loop_with_the_panda_is_the_run() -> None:
+    settings: dict[str, Any] = dict(tolerance=1e-6, trigger_px=30.0)
+    controller = vpc.Controller(reach, strategy="foresight", **settings)
+    some = robot_starts[1:4]
+    rows = vpc.run(reach, some, ["foresight"], robot="panda", noise=0.2, seed=4)
+    for k, row in enumerate(rows):
+        panda = vpc.Panda(reach, some[k], noise=0.2, seed=4 + k)
+        assert (panda.points, panda.visible, panda.exposed_s) == (None, None, None)
+        seen = 0
+        while panda.referee is None:
+            step = controller.step(
+                panda.points, panda.time_s, panda.visible, panda.exposed_s, joints=panda.joints
+            )
+            controller.think()
+            panda.move(step.twist, step.elbow)
+            if panda.points is not None and panda.exposed_s is not None:
+                seen += 1
+                assert 0.1 < panda.time_s - panda.exposed_s < 0.15
+                assert panda.points.shape == panda.true_points.shape == (4, 2)
+        assert (panda.referee == "arrived", panda.violation) == (row["success"], None)
+        assert panda.time_s == row["time_s"] and seen > 50
+        assert panda.report.items() <= row.items(), (panda.report, row)
+        assert panda.phase == "done" and np.abs(panda.twist).max() < 1e-3
+        clearance = min(row["least_clearance_px"], row["least_between_px"])
+        assert panda.least_clearance_px == clearance
+        with raises(RuntimeError, "the run has ended"):
+            panda.move(np.zeros(6))
+        controller.reset()
+
+
+def test_the_law_keeps_to_the_limits_of_an_arm_whose_joints_it_is_told() -> None:
+    with (ROOT / "ipc/scene/scenes/panda.toml").open() as file:
+        assert "panda.urdf" in file.read()
+    armless = reach.with_arm(None)
+    assert armless.joint_limits is None and reach.joint_limits is not None
+    assert reach.joint_limits.shape == (7, 4) and abs(reach.joint_limits[0, 1] - 2.8973) < 1e-6
+    again = armless.with_arm(ROOT / "ipc/scene/scenes/panda.toml")
+    assert again.joint_limits is not None
+    assert np.array_equal(again.joint_limits, reach.joint_limits)
+    panda = vpc.Panda(reach, robot_starts[0])
+    controller = vpc.Controller(reach, strategy="previous")
+    free = controller.step(panda.true_points, 0.0, joints=panda.joints)
+    controller.reset()
+    near = panda.joints
+    near[2] = reach.joint_limits[2, 0] + 0.05
+    kept = controller.step(panda.true_points, 0.0, joints=near)
+    # Joint 3, the elbow, turns away from its end, and the camera goes another way.
+    assert free.elbow == 0 < kept.elbow and not np.array_equal(free.twist, kept.twist)
+    controller.reset()
+    assert controller.step(panda.true_points, 0.0).hold == "joints unknown"
+
+
 def test_a_law_in_python_is_judged_as_ours() -> None:
     twists: list[np.ndarray] = []
     controller = vpc.Controller(scene, memory)
@@ -114,6 +217,26 @@ def test_a_law_in_python_is_judged_as_ours() -> None:
     assert own["strategy"] == "Ours" and ours["strategy"] == "foresight:3"
     for key in ("success", "steps", "cost", "change", "error_mm", "least_between_px"):
         assert own[key] == ours[key], key
+    controller = vpc.Controller(reach.with_arm(None), tolerance=1e-6, trigger_px=30.0)
+    kinds = []
+
+    class Late(Ours):
+        def __call__(self, points: np.ndarray | None, time_s: float) -> np.ndarray:
+            kinds.append(points is None)
+            twist = controller.step(points, time_s, exposed_s=max(time_s - 0.11, 0.0)).twist
+            return twist
+
+    (late,) = vpc.run(reach, robot_starts[:1], [Late()], robot="panda")
+    assert late["strategy"] == "Late" and late["success"] and late["cost"] is None, late
+    assert kinds[:3] == [True] * 3 and not all(kinds)
+    hidden: list[int] = []
+
+    def blind(points: np.ndarray, time_s: float) -> list[float]:
+        hidden.append(int(np.isnan(points).any(axis=1).sum()))
+        return [0.0] * 6
+
+    vpc.run(scene, starts[:1], [blind], hide=0.5)
+    assert {0, 1} == set(hidden)
     fast = vpc.run(scene, starts[:1], [lambda points, time_s: [9.0] * 6])
     assert fast[0]["reason"] == "beyond_limits"
     with raises(ZeroDivisionError, "division"):
@@ -270,6 +393,40 @@ def test_errors_say_what_is_allowed() -> None:
         vpc.run(scene, starts[0], ["ibvs"])
     with raises(ValueError, "not a recording"):
         vpc.records(SCENE)
+    refused: list[tuple[str, dict[str, Any]]] = [
+        ("keyword `nois`; allowed: no_compensation, noise, drop,", dict(nois=1)),
+        ("noise = 101; allowed: 0 to 100", dict(noise=101)),
+        ("gain = 11; allowed: 0 to 10", dict(gain=11)),
+        ("keyword `delay_ms`; allowed: ", dict(delay_ms=80)),
+        ("invalid value 'x' for 'drop <P>': invalid float literal", dict(drop="x")),
+    ]
+    for error, flags in refused:
+        with raises(ValueError, error):
+            vpc.run(scene, starts[:1], ["ibvs"], **flags)
+    with raises(ValueError, "robot `ur5e`; allowed: free, panda"):
+        vpc.run(scene, starts[:1], ["ibvs"], robot="ur5e")  # type: ignore[call-overload]
+    with raises(ValueError, "delay_ms = 901; allowed: 0 to 900"):
+        vpc.run(reach, robot_starts[:1], ["ibvs"], robot="panda", delay_ms=901)
+    far = [0, 0, 9, 0, 0, 0]
+    with raises(ValueError, "starts[1]: this start: "):
+        vpc.run(reach, [robot_starts[0], far], ["ibvs"], robot="panda")
+    with raises(ValueError, "start: this start: "):
+        vpc.Panda(reach, far)
+    with raises(ValueError, "keyword `margin`; allowed: noise, drop, depth_error, motion, seed"):
+        vpc.Panda(reach, robot_starts[0], margin=3)  # type: ignore[call-arg]
+    with raises(ValueError, "jitter_ms = 120; allowed: 0 to 110"):
+        vpc.Panda(reach, robot_starts[0], jitter_ms=120)
+    with raises(ValueError, "elbow = NaN; allowed: a finite number of rad/s"):
+        vpc.Panda(reach, robot_starts[0]).move(np.zeros(6), np.nan)
+    with raises(ValueError, "joints are given; allowed: None, for the scene names no arm"):
+        controller.step(scene.goal, 0.0, joints=np.zeros(7))
+    known = vpc.Controller(reach)
+    with raises(ValueError, "joints: shape [6]; allowed: [7]"):
+        known.step(reach.goal, 0.0, joints=np.zeros(6))
+    with raises(ValueError, "allowed: finite numbers"):
+        known.step(reach.goal, 0.0, joints=np.full(7, np.nan))
+    with raises(FileNotFoundError, "/none/arm.toml: cannot read"):
+        scene.with_arm("/none/arm.toml")
 
 
 def test_points_that_cannot_be_trusted_hold() -> None:

@@ -19,6 +19,7 @@ from ._vpc import (
     Foreseen,
     FreeCamera,
     Memory,
+    Panda,
     Recall,
     Scene,
     Step,
@@ -26,7 +27,7 @@ from ._vpc import (
     read_starts,
     run,
 )
-from .rows import Occlusion, Row
+from .rows import Occlusion, PandaReport, PandaRow, Row
 
 __all__ = [
     "Controller",
@@ -34,6 +35,9 @@ __all__ = [
     "FreeCamera",
     "Memory",
     "Occlusion",
+    "Panda",
+    "PandaReport",
+    "PandaRow",
     "Recall",
     "Row",
     "Scene",

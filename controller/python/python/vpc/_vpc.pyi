@@ -1,11 +1,11 @@
 import os
 from collections.abc import Callable, Sequence
-from typing import Literal, Protocol, final
+from typing import Literal, Protocol, final, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .rows import Occlusion, Row
+from .rows import Occlusion, PandaReport, PandaRow, Row
 
 _Array = NDArray[np.float64]
 _Path = str | os.PathLike[str]
@@ -15,6 +15,9 @@ __version__: str
 class _Law(Protocol):
     def __call__(self, points: _Array, time_s: float, /) -> ArrayLike: ...
 
+class _LateLaw(Protocol):
+    def __call__(self, points: _Array | None, time_s: float, /) -> ArrayLike: ...
+
 @final
 class Scene:
     @staticmethod
@@ -23,6 +26,9 @@ class Scene:
     def parse(text: str, path: str = "scene.toml") -> Scene: ...
     @staticmethod
     def built_in(name: Literal["paper-sim", "paper-robot", "tags-robot"]) -> Scene: ...
+    def with_arm(self, path: _Path | None) -> Scene: ...
+    @property
+    def joint_limits(self) -> _Array | None: ...
     @property
     def name(self) -> str: ...
     @property
@@ -89,6 +95,8 @@ class Step:
     def twist(self) -> _Array: ...
     @property
     def way_point(self) -> _Array | None: ...
+    @property
+    def elbow(self) -> float: ...
     @property
     def state(self) -> Literal["moving", "arrived", "holding", "braking", "disarmed"]: ...
     @property
@@ -169,6 +177,7 @@ class Controller:
         visible: Sequence[bool] | None = None,
         exposed_s: float | None = None,
         wanted: ArrayLike | None = None,
+        joints: ArrayLike | None = None,
     ) -> Step: ...
     def sent(self, twist: ArrayLike, time_s: float) -> None: ...
     def think(self) -> None: ...
@@ -195,12 +204,127 @@ class FreeCamera:
     @property
     def time_s(self) -> float: ...
 
+@final
+class Panda:
+    def __new__(
+        cls,
+        scene: Scene,
+        start: ArrayLike,
+        *,
+        noise: float = 0.0,
+        drop: float = 0.0,
+        depth_error: float = 0.0,
+        motion: str | Sequence[str] = (),
+        seed: int = 1,
+        delay_ms: float = 110.0,
+        jitter_ms: float = 0.0,
+        focal_error: float = 0.0,
+        hand_eye_cm: float = 0.0,
+        hand_eye_deg: float = 0.0,
+        unshaped: bool = False,
+    ) -> Panda: ...
+    @property
+    def points(self) -> _Array | None: ...
+    @property
+    def visible(self) -> list[bool] | None: ...
+    @property
+    def exposed_s(self) -> float | None: ...
+    @property
+    def true_points(self) -> _Array: ...
+    @property
+    def pose(self) -> _Array: ...
+    @property
+    def twist(self) -> _Array: ...
+    @property
+    def joints(self) -> _Array: ...
+    def move(self, twist: ArrayLike, elbow: float = 0.0) -> None: ...
+    @property
+    def referee(self) -> Literal["arrived", "violation", "reflex", "time_out"] | None: ...
+    @property
+    def violation(self) -> str | None: ...
+    @property
+    def least_clearance_px(self) -> float: ...
+    @property
+    def phase(
+        self,
+    ) -> Literal["waiting", "approach", "settling", "releasing", "retreating", "done"]: ...
+    @property
+    def report(self) -> PandaReport: ...
+    @property
+    def time_s(self) -> float: ...
+
+@overload
 def run(
     scene: Scene,
     starts: ArrayLike,
     strategies: Sequence[str | _Law],
     memory: Memory | None = None,
     *,
+    robot: Literal["free"] = "free",
     progress: Callable[[int, int], object] | None = None,
+    # Of camera and pattern.
+    noise: float = 0.0,
+    drop: float = 0.0,
+    seed: int = 1,
+    depth_error: float = 0.0,
+    motion: str | Sequence[str] = (),
+    rate: float | None = None,
+    # Of the law.
+    no_compensation: bool = False,
+    no_drift: bool = False,
+    at_samples_only: bool = False,
+    brake_s: float = 0.0,
+    model: Literal["target-depth", "area-depth", "pose"] = "pose",
+    change_share: float = 0.03,
+    filter_s: float = 0.15,
+    filter_px: float = 1.0,
+    step_s: float = 0.033,
+    foresight_steps: int = 150,
+    # Of the free camera.
+    delay: int = 0,
+    gain: float = 1.0,
+    hide: float = 0.0,
+    blackout_s: float = 0.0,
+    retrace: bool = False,
 ) -> list[Row]: ...
+@overload
+def run(
+    scene: Scene,
+    starts: ArrayLike,
+    strategies: Sequence[str | _LateLaw],
+    memory: Memory | None = None,
+    *,
+    robot: Literal["panda"],
+    progress: Callable[[int, int], object] | None = None,
+    # Of camera and pattern.
+    noise: float = 0.0,
+    drop: float = 0.0,
+    seed: int = 1,
+    depth_error: float = 0.0,
+    motion: str | Sequence[str] = (),
+    rate: float | None = None,
+    # Of the law.
+    no_compensation: bool = False,
+    no_drift: bool = False,
+    at_samples_only: bool = False,
+    brake_s: float = 0.0,
+    model: Literal["target-depth", "area-depth", "pose"] = "pose",
+    change_share: float = 0.03,
+    filter_s: float = 0.15,
+    filter_px: float = 1.0,
+    step_s: float = 0.033,
+    foresight_steps: int = 150,
+    # Of the emulated arm, and of its law.
+    delay_ms: float = 110.0,
+    jitter_ms: float = 0.0,
+    focal_error: float = 0.0,
+    hand_eye_cm: float = 0.0,
+    hand_eye_deg: float = 0.0,
+    unshaped: bool = False,
+    trigger: float = 30.0,
+    hysteresis: float = 2.0,
+    margin: float = 0.0,
+    ignore_marker_size: bool = False,
+    ignore_arm: bool = False,
+) -> list[PandaRow]: ...
 def records(path: _Path, kind: str) -> list[str]: ...

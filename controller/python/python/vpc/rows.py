@@ -16,7 +16,7 @@ class Occlusion(TypedDict):
 
 
 class Row(TypedDict):
-    """What happened in a run."""
+    """What happened in a run of the free camera."""
 
     #: The strategy with its steps ahead ("foresight:3"), or the name of your law.
     strategy: str
@@ -54,3 +54,62 @@ class Row(TypedDict):
     iterations: int
     #: Cycles in which the solver did not converge; 0 for your law.
     not_converged: int
+
+
+class PandaReport(TypedDict):
+    """What the referee of the emulated arm counted."""
+
+    #: Times that the robot stopped itself.
+    reflexes: int
+    #: Milliseconds in which a joint was out of its range, or a joint or the end effector too fast.
+    limit_violations: int
+    #: Milliseconds in which a joint or the end effector accelerated or jerked too much.
+    discontinuities: int
+    #: Names of the robot's errors, each once.
+    errors: list[str]
+    #: Largest share of a joint's limit of speed; 1 at the limit.
+    joint_velocity: float
+    #: The same of acceleration.
+    joint_acceleration: float
+    #: The same of jerk.
+    joint_jerk: float
+    #: Least distance of a joint from an end of its range, rad.
+    joint_room: float
+    #: Milliseconds in which the robot obeyed the controller.
+    steered_ms: int
+    #: Those in which the bridge slowed the camera down, for a joint or a singular posture.
+    slowed_ms: int
+
+
+class PandaRow(PandaReport):
+    """What happened in a run of the emulated arm."""
+
+    #: As in a Row.
+    strategy: str
+    #: Index of the start.
+    start: int
+    #: Whether the object was released at the goal and the robot backed away, with no violation.
+    success: bool
+    #: Why not.
+    reason: (
+        Literal["violation", "marker_lost", "time_out", "reflex", "disarmed", "beyond_limits"]
+        | None
+    )
+    #: Why the controller held the camera in the last cycle.
+    hold: str | None
+    #: Time until the run was decided, s.
+    time_s: float
+    #: Time until the points arrived, s.
+    arrived_s: float | None
+    #: Mean over the cycles of l(v) / Np, against the goal; None for your law.
+    cost: float | None
+    #: Largest component of the true distance from the goal at the end, px.
+    error_px: float
+    #: Frames in which a marker was hidden.
+    hidden_frames: int
+    #: As in a Row.
+    least_clearance_px: float
+    #: As in a Row.
+    least_between_px: float
+    #: As in a Row.
+    least_edge_px: float | None
