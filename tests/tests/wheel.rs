@@ -12,9 +12,11 @@ const WHEEL: Environment = Environment {
     name: "python-wheel",
     requirements: &[],
     packages: &[
+        "ipykernel>=7,<8",
         "matplotlib>=3.8",
         "maturin>=1.9.4,<2",
         "mypy>=2,<3",
+        "nbclient>=0.10.4,<0.12",
         "numpy>=2,<3",
         "pandas>=2.2,<4",
         "proxsuite==0.8.0",

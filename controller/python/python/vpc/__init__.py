@@ -27,6 +27,7 @@ from ._vpc import (
     read_starts,
     run,
 )
+from .drawing import draw
 from .rows import Occlusion, PandaReport, PandaRow, Row
 
 __all__ = [
@@ -43,6 +44,7 @@ __all__ = [
     "Scene",
     "Step",
     "__version__",
+    "draw",
     "read_starts",
     "records",
     "run",
