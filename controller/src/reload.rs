@@ -1,8 +1,8 @@
 //! SIGHUP: the daemon begins again with its files as they are now, and disarmed.
 //!
 //! Another process of the same program checks the files (`--check-only`) while the loop goes on; if
-//! they are wrong, nothing changes. Then the daemon ends as by SIGTERM, and the process executes its
-//! program again: it keeps its number, so that a service manager knows it.
+//! they are wrong, nothing changes. Then the daemon ends as by SIGTERM, and the process executes
+//! its program again: it keeps its number, so that a service manager knows it.
 
 use std::ffi::OsString;
 use std::io;

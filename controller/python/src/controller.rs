@@ -196,6 +196,7 @@ impl Controller {
     #[pyo3(signature = (
         points, time_s, visible=None, exposed_s=None, wanted=None, joints=None
     ))]
+    #[expect(clippy::too_many_arguments, reason = "keywords, in Python")]
     fn step(
         &self,
         py: Python<'_>,

@@ -18,9 +18,11 @@ use crate::visit::VisitArguments;
 /// Watch and command vpcd, the visual predictive controller.
 ///
 /// Exit codes: 0 moving, arrived, done; 1 the camera stands (status), or something must be fixed
-/// (doctor, check-bridge); 2 the request was refused, or files are there already (init), or what is seen is no goal (teach); 3 no
-/// daemon; 4 the daemon does not answer; 5 disarmed (status); 64 command line; 65 a file is wrong;
-/// 66 a file is missing; 69 shared memory, slot or address not available; 70 failure of vpcctl.
+/// (doctor, check-bridge), or the camera has not arrived (visit); 2 the request was refused, or
+/// files are there already (init), or what is seen is no goal (teach), or the daemon does not take
+/// it up; 3 no daemon; 4 the daemon does not answer; 5 disarmed (status); 64 command line; 65 a
+/// file is wrong; 66 a file is missing; 69 shared memory, slot or address not available; 70 failure
+/// of vpcctl.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "vpcctl", version, max_term_width = 100)]
 pub struct Arguments {
@@ -67,11 +69,11 @@ pub enum Command {
     /// Play vpcd to the program that carries out twists, and judge what it reports: the camera
     /// moves some centimetres along its x axis and back.
     CheckBridge(CheckBridgeArguments),
-    /// Write a scene with the goal that the camera sees now. Hold the camera there, still. The daemon
-    /// may take it up.
+    /// Write a scene with the goal that the camera sees now, or let the daemon take it up. Hold the
+    /// camera there, still.
     Teach(TeachArguments),
-    /// Bring the camera to the goals of several scenes, one after the other: the daemon begins again
-    /// with each, and is armed.
+    /// Bring the camera to the goals of several scenes, one after the other: the daemon begins
+    /// again with each, and is armed.
     Visit(VisitArguments),
     /// Serve or print metrics in the Prometheus text format.
     Metrics(MetricsArguments),

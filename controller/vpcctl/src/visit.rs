@@ -39,8 +39,8 @@ pub struct VisitArguments {
 /// each.
 ///
 /// # Errors
-/// As [`Daemon`]. Whoever stops or disarms ends the visit, and so does a goal that is not reached in
-/// time, after which the daemon is disarmed.
+/// As [`Daemon`]. Whoever stops or disarms ends the visit, and so does a goal that is not reached
+/// in time, after which the daemon is disarmed.
 pub fn visit(directory: &Path, with: &VisitArguments) -> Result<Exit, Failure> {
     // A wrong file is told before anything moves.
     for path in &with.scenes {
@@ -75,8 +75,8 @@ fn copy(from: &Path, place: &Path) -> Result<PathBuf, Failure> {
     Ok(to)
 }
 
-/// Arms, as soon as the daemon sees camera and robot; when that was. A stop since then, or before, is
-/// not armed over.
+/// Arms, as soon as the daemon sees camera and robot; when that was. A stop since then, or before,
+/// is not armed over.
 fn arm(directory: &Path) -> Result<Instant, Failure> {
     let end = Instant::now() + PATIENCE;
     loop {

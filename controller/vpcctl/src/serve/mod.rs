@@ -63,7 +63,8 @@ struct Server {
     teaching: tokio::sync::Mutex<()>,
 }
 
-/// Serves the page until a signal comes; with `control`, the page may arm, disarm, stop and teach a goal.
+/// Serves the page until a signal comes; with `control`, the page may arm, disarm, stop and
+/// teach a goal.
 ///
 /// # Errors
 /// The domain cannot be joined or watched; the address cannot be used.
@@ -139,7 +140,8 @@ async fn events(
     Ok(Sse::new(events.inspect(move |_| _ = &view)))
 }
 
-/// The domain, for whoever may command: our own page, with the token that was printed. Else why not.
+/// The domain, for whoever may command: our own page, with the token that was printed. Else why
+/// not.
 fn commanded(server: &Server, headers: &HeaderMap) -> Result<PathBuf, &'static str> {
     let Some(token) = &server.token else {
         return Err("only watching: start with --control to command");

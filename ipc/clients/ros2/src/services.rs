@@ -1,5 +1,5 @@
-//! std_srvs/Trigger: arm, arm_after_stop, disarm, stop, teach. Runs in a thread of its own and waits for
-//! nothing, so that no request keeps a stop waiting.
+//! std_srvs/Trigger: arm, arm_after_stop, disarm, stop, teach. Runs in a thread of its own and
+//! waits for nothing, so that no request keeps a stop waiting.
 
 use std::hash::{BuildHasher, RandomState};
 use std::io;
