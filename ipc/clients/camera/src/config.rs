@@ -46,6 +46,10 @@ pub enum Command {
     /// Draw the tags of a scene in their true size, to be printed (SVG).
     #[cfg(feature = "detector")]
     Tags(crate::sheet::Arguments),
+    /// Measure where printed tags lie, and write a scene with that pattern. Hold the camera so that
+    /// it sees all of them, still.
+    #[cfg(feature = "detector")]
+    Pattern(crate::pattern::Arguments),
 }
 
 /// Paths are relative to the file. Most keys have a flag, which wins.
@@ -150,8 +154,10 @@ impl Targets {
 pub struct Config {
     /// Where images come from.
     pub source: SourceKind,
-    /// The scene of vpcd.
+    /// The scene of vpcd, and its file.
     pub scene: Scene,
+    #[allow(missing_docs)]
+    pub scene_path: PathBuf,
     /// The real lens.
     pub lens: Lens,
     /// Family of the tags.
@@ -211,7 +217,8 @@ impl Config {
             },
         };
         document.readable(&["scene", "calibration"])?;
-        let scene = Scene::read(&keys.scene.unwrap_or_default())?;
+        let scene_path = keys.scene.unwrap_or_default();
+        let scene = Scene::read(&scene_path)?;
         let points = scene.pattern.len();
         let targets = match keys.corners_of {
             Some(_) if keys.tags.is_some() => {
@@ -265,6 +272,7 @@ impl Config {
             realtime_priority: keys.realtime_priority,
             metrics: keys.metrics,
             scene,
+            scene_path,
         })
     }
 }

@@ -18,6 +18,8 @@ pub mod mask_check;
 #[cfg(feature = "detector")]
 pub mod metrics;
 #[cfg(feature = "detector")]
+pub mod pattern;
+#[cfg(feature = "detector")]
 pub mod plane;
 #[cfg(feature = "detector")]
 mod registration;

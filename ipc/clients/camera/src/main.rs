@@ -12,7 +12,7 @@ use program::{Exit, StartUp, publish};
 use vpc_camera::config::{Arguments, Command, Config};
 use vpc_camera::metrics::Metrics;
 use vpc_camera::run::{Event, Report, RunError, run};
-use vpc_camera::{mask, sheet};
+use vpc_camera::{mask, pattern, sheet};
 
 /// The program's name, for messages.
 const NAME: &str = "vpc-camera";
@@ -36,6 +36,9 @@ fn begin() -> Result<ExitCode, ExitCode> {
     match command {
         Ok(Some(Command::Mask(arguments))) => return Ok(end("mask", mask::run(&arguments))),
         Ok(Some(Command::Tags(arguments))) => return Ok(end("tags", sheet::run(&arguments))),
+        Ok(Some(Command::Pattern(arguments))) => {
+            return Ok(end("pattern", pattern::run(&arguments)));
+        }
         _ => {}
     }
     let config = Config::load(&matches).map_err(|error| Exit::from(&error).say(NAME, error))?;

@@ -1,6 +1,6 @@
 //! Homographies between planes.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, SMatrix, SVector, Translation3, Vector3};
 
 /// A point, px or m.
 pub type Point = [f64; 2];
@@ -41,6 +41,19 @@ impl Homography {
         let p = self.0 * Vector3::new(x, y, 1.0);
         let at = [p.x / p.z, p.y / p.z];
         at.iter().all(|x| x.abs() < 1e6).then_some(at)
+    }
+
+    /// The pose of the plane's frame in the camera, where it leads to normalized image coordinates;
+    /// `None` for a plane behind the camera.
+    pub fn pose(&self) -> Option<Isometry3<f64>> {
+        let [a, b, c] = [0, 1, 2].map(|k| self.0.column(k).into_owned());
+        let scale = 2.0 / (a.norm() + b.norm());
+        let scale = if c.z < 0.0 { -scale } else { scale };
+        let axes = Matrix3::from_columns(&[scale * a, scale * b, scale * scale * a.cross(&b)]);
+        let svd = axes.svd(true, true);
+        let turn = Rotation3::from_matrix_unchecked(svd.u? * svd.v_t?);
+        let at = Translation3::from(scale * c);
+        (at.z > 0.0).then(|| Isometry3::from_parts(at, turn.into()))
     }
 
     /// The way back.

@@ -3,5 +3,6 @@
 mod clutter;
 mod drawing;
 mod hidden;
+mod pattern;
 mod poses;
 mod process;
