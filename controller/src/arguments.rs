@@ -61,9 +61,10 @@ pub struct Arguments {
     #[arg(long)]
     pub arm: bool,
 
-    /// Start disarmed, whatever the configuration says.
-    #[arg(long, conflicts_with = "arm")]
-    pub disarmed: bool,
+    /// After a SIGHUP vpcd begins itself again with this: disarmed, whatever else is said, after so
+    /// many stops.
+    #[arg(long, value_name = "STOPS", hide = true)]
+    pub again: Option<u32>,
 
     /// After N cycles, brake and stop.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]

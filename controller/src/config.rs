@@ -187,8 +187,6 @@ fn laid_over(
     document.set("law.np", "--np", flags.np);
     document.set("cycle.clock", "--clock", flags.clock.clone());
     document.set("safety.armed", "--arm", flags.arm.then_some(true));
-    let disarmed = flags.disarmed.then_some(false);
-    document.set("safety.armed", "--disarmed", disarmed);
 
     let mut tables: Tables = document.check()?;
     let clock = ClockMode::from(tables.cycle.clock);

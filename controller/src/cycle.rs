@@ -141,6 +141,11 @@ impl<'m> Cycle<'m> {
         self.count
     }
 
+    /// Stops by operators so far.
+    pub fn stops(&self) -> u32 {
+        self.control.stops()
+    }
+
     /// Whether an operator has stopped it since it was last armed.
     pub fn was_stopped(&self) -> bool {
         self.control.was_stopped()

@@ -104,7 +104,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         Some(Command::Replay(arguments)) => replay::command::run(arguments),
         None if arguments.preflight => preflight(&arguments),
         None if arguments.print_config => print_config(&arguments),
-        None => match run(&arguments).and_then(begun_again) {
+        None => match run(&arguments).and_then(begin_again) {
             Ok(()) => Exit::Ok,
             Err(failure) => {
                 if let Ok(service) = Service::by_environment(Duration::ZERO) {
@@ -117,9 +117,11 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     exit.into()
 }
 
-/// Lets the successor begin, if there is to be one.
-fn begun_again(successor: Option<Successor>) -> Result<(), Failure> {
-    successor.map_or(Ok(()), |successor| Err(Failure::Again(successor.begin())))
+/// Lets the successor begin, if there is to be one, after so many stops.
+fn begin_again(successor: Option<(Successor, u32)>) -> Result<(), Failure> {
+    successor.map_or(Ok(()), |(successor, stops)| {
+        Err(Failure::Again(successor.begin(stops)))
+    })
 }
 
 /// Writes a failure to standard error.
@@ -173,7 +175,7 @@ fn preflight(arguments: &Arguments) -> Exit {
 ///
 /// # Errors
 /// [`Failure`], with its cause.
-pub fn run(arguments: &Arguments) -> Result<Option<Successor>, Failure> {
+pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32)>, Failure> {
     // First of all: a hang-up while the memory is read must not kill.
     let (start_up, stop) = Stop::by_signals().map_err(Failure::Signals)?;
     let hangup = Hangup::by_signal().map_err(Failure::Signals)?;
@@ -186,7 +188,7 @@ pub fn run(arguments: &Arguments) -> Result<Option<Successor>, Failure> {
     let mut control = loaded.control(rules)?;
     Recorder::check_room(&config.flight, rate_hz, room, source)?;
     if arguments.check_only {
-        println!("{}", describe(&config, &loaded));
+        println!("{}", describe(&config, &loaded, config.safety.armed));
         if let Some(warning) = loaded.warning() {
             eprintln!("vpcd: warning: {warning}");
         }
@@ -201,6 +203,10 @@ pub fn run(arguments: &Arguments) -> Result<Option<Successor>, Failure> {
     let begins_armed = config.safety.armed && config.clock != ClockMode::Lockstep;
     let state = begins_armed.then(instance::state_directory).transpose()?;
     let mut instance = Instance::claim(domain.directory(), state.as_deref())?;
+    if let Some(stops) = arguments.again {
+        control.begin_again(stops);
+        instance.follow();
+    }
     if let (Some(process), true) = (&instance.unclean, config.clock != ClockMode::Lockstep) {
         control.begin_disarmed(Hold::Unclean);
         tracing::warn!(
@@ -230,7 +236,8 @@ pub fn run(arguments: &Arguments) -> Result<Option<Successor>, Failure> {
     };
     let recorder = telemetry.start(&config.domain)?;
     let successor = Successor::ready().map_err(Failure::Again)?;
-    tracing::info!("{}", describe(&config, &loaded));
+    let is_armed = config.safety.armed && arguments.again.is_none();
+    tracing::info!("{}", describe(&config, &loaded, is_armed));
     if let Some(warning) = loaded.warning() {
         tracing::warn!("{warning}");
     }
@@ -260,7 +267,8 @@ pub fn run(arguments: &Arguments) -> Result<Option<Successor>, Failure> {
     };
     drop(std::panic::take_hook());
     instance.has_consent = cycle.has_consent();
-    let was_stopped = cycle.was_stopped();
+    let (stops, was_stopped) = (cycle.stops(), cycle.was_stopped());
+    let is_again = again.is_asked();
     drop(cycle);
     let machine = Report {
         realtime: realtime.0,
@@ -270,21 +278,23 @@ pub fn run(arguments: &Arguments) -> Result<Option<Successor>, Failure> {
     };
     let reported =
         recorded(recorder.join()).and_then(|summary| report(arguments, &summary, machine, &log));
+    // Who asked to stop meanwhile wins.
+    let is_ended = !is_again || stop.last_signal().map_err(Failure::Signals)?;
+    instance.is_followed = !is_ended && outcome.is_ok() && stopped.is_ok() && reported.is_ok();
     // The ports are closed: the next one may come.
     drop(published);
     drop(instance);
     outcome?;
     stopped.map_err(|source| Failure::Send { most: 1, source })?;
     reported?;
-    // Who asked to stop meanwhile wins.
-    if !again.is_asked() || stop.last_signal().map_err(Failure::Signals)? {
+    if is_ended {
         return Ok(None);
     }
     if was_stopped {
         // So that no arming but one that names the stop moves the successor either.
         Asked::in_domain(domain.directory())?;
     }
-    Ok(Some(successor))
+    Ok(Some((successor, stops)))
 }
 
 /// Leaves scene and configuration in the domain, where viewers and recorders find them. They do
@@ -363,7 +373,7 @@ fn turn(
 }
 
 /// What runs, in one line.
-fn describe(config: &Config, loaded: &Loaded) -> String {
+fn describe(config: &Config, loaded: &Loaded, is_armed: bool) -> String {
     let settings = &loaded.settings;
     let memory = match (&config.memory, &loaded.memory) {
         (Some(path), Some(memory)) => format!("{} ({} bytes)", path.display(), memory.size()),
@@ -382,7 +392,7 @@ fn describe(config: &Config, loaded: &Loaded) -> String {
         settings.np,
         config.clock,
         config.domain.display(),
-        match config.safety.armed {
+        match is_armed {
             true => "armed",
             false => "disarmed",
         },

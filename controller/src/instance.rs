@@ -69,6 +69,8 @@ pub struct Instance {
     pub unclean: Option<String>,
     /// Whether an operator has armed it: an unclean end before is forgotten.
     pub has_consent: bool,
+    /// Whether this process begins again: until it has, its end is not clean.
+    pub is_followed: bool,
 }
 
 impl Instance {
@@ -113,7 +115,14 @@ impl Instance {
             note,
             unclean: left,
             has_consent: false,
+            is_followed: false,
         })
+    }
+
+    /// After this process has begun again: what it left itself is no unclean end.
+    pub fn follow(&mut self) {
+        let us = std::process::id().to_string();
+        self.unclean.take_if(|process| process.trim() == us);
     }
 }
 
@@ -121,6 +130,10 @@ impl Drop for Instance {
     fn drop(&mut self) {
         // After a panic the next one is to know that this end was not clean.
         if std::thread::panicking() {
+            return;
+        }
+        let is_known = self.unclean.is_none() || self.has_consent;
+        if self.is_followed && is_known {
             return;
         }
         // The file stays, since removing it could race with a daemon that locks it; empty, it names

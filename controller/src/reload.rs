@@ -16,12 +16,13 @@ use std::sync::mpsc::{self, Sender};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use signal_hook::consts::{SIGHUP, SIGUSR1};
 use tracing::{error, info};
 
 use crate::shutdown::{Hangup, Stop};
 
 /// Longest check of the files.
-const CHECK: Duration = Duration::from_secs(30);
+const CHECK: Duration = Duration::from_secs(5);
 /// Stack of the thread that waits, bytes: real-time scheduling locks it in memory.
 const STACK: usize = 64 * 1024;
 /// What Linux adds to the path of a program that was replaced, by an update for instance.
@@ -98,7 +99,7 @@ impl Check {
     #[expect(clippy::disallowed_methods, reason = "it ends by itself")]
     fn begin() -> io::Result<Self> {
         let mut command = Command::new(file()?);
-        command.args(arguments()).arg("--check-only");
+        command.args(arguments(0)).arg("--check-only");
         command.stdin(Stdio::null()).stdout(Stdio::null());
         Ok(Self {
             process: command.stderr(Stdio::piped()).spawn()?,
@@ -130,7 +131,7 @@ impl Check {
 /// of the thread by which it begins.
 #[derive(Debug)]
 pub struct Successor {
-    go: Sender<()>,
+    go: Sender<u32>,
     thread: JoinHandle<Option<io::Error>>,
 }
 
@@ -143,14 +144,15 @@ impl Successor {
         let (go, is_time) = mpsc::channel();
         let thread = std::thread::Builder::new().name("again".to_owned());
         // Where nobody says so, it ends.
-        let wait = move || is_time.recv().ok().map(|()| execute());
+        let wait = move || is_time.recv().ok().map(execute);
         let thread = thread.stack_size(STACK).spawn(wait)?;
         Ok(Self { go, thread })
     }
 
-    /// Executes the program again; of this one nothing is left but its process.
-    pub fn begin(self) -> io::Error {
-        let _ = self.go.send(());
+    /// Executes the program again, after so many stops; of this one nothing is left but its
+    /// process.
+    pub fn begin(self, stops: u32) -> io::Error {
+        let _ = self.go.send(stops);
         let why = self.thread.join().ok().flatten();
         why.unwrap_or_else(|| io::Error::other("the thread that begins again died"))
     }
@@ -158,15 +160,11 @@ impl Successor {
 
 /// Executes the program again; returns only if that failed.
 #[expect(clippy::disallowed_methods, reason = "it begins no child")]
-fn execute() -> io::Error {
-    match file() {
-        Ok(file) => {
-            // Until the new one listens, another SIGHUP would end it.
-            match program::ignore(signal_hook::consts::SIGHUP) {
-                Ok(()) => Command::new(file).args(arguments()).exec(),
-                Err(error) => error,
-            }
-        }
+fn execute(stops: u32) -> io::Error {
+    // Until the new one listens, they would end it.
+    let ignored = [SIGHUP, SIGUSR1].into_iter().try_for_each(program::ignore);
+    match ignored.and_then(|()| file()) {
+        Ok(file) => Command::new(file).args(arguments(stops)).exec(),
         Err(error) => error,
     }
 }
@@ -178,9 +176,9 @@ fn file() -> io::Result<PathBuf> {
     Ok(OsString::from_vec(path).into())
 }
 
-/// The command line, with `--disarmed` in place of `--arm`.
-fn arguments() -> impl Iterator<Item = OsString> {
+/// The command line, with `--again`.
+fn arguments(stops: u32) -> impl Iterator<Item = OsString> {
     let given = std::env::args_os().skip(1);
-    let kept = given.filter(|word| word != "--arm" && word != "--disarmed");
-    kept.chain(["--disarmed".into()])
+    let kept = given.filter(|word| !word.as_encoded_bytes().starts_with(b"--again="));
+    kept.chain([format!("--again={stops}").into()])
 }

@@ -93,13 +93,14 @@ impl StopFile {
         let absolute =
             CString::new(absolute.as_os_str().as_bytes()).map_err(|error| refuse(error.into()))?;
         let (asked, _) = read(&file).map_err(refuse)?;
-        let mut this = Self {
+        let this = Self {
             place: place(&absolute).map_err(refuse)?.0,
             path: absolute,
             file,
             asked,
         };
-        if is_new || !this.is_asked() {
+        // A file that is there is as it was obeyed, or asks for a stop; to write it could undo one.
+        if is_new {
             this.write_obeyed().map_err(refuse)?;
             this.file.sync_all().map_err(refuse)?;
         }

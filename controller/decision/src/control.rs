@@ -165,6 +165,16 @@ impl<'m> ControlStep<'m> {
         self.supervisor.rules()
     }
 
+    /// Before the first cycle: begins disarmed, after so many stops of the one before.
+    pub fn begin_again(&mut self, stops: u32) {
+        self.supervisor.begin_again(stops);
+    }
+
+    /// Stops by operators so far.
+    pub fn stops(&self) -> u32 {
+        self.supervisor.stops()
+    }
+
     /// Whether an operator has stopped it since it was last armed.
     pub fn was_stopped(&self) -> bool {
         self.supervisor.was_stopped()

@@ -132,6 +132,12 @@ impl Supervisor {
         (self.mode, self.has_met) = (Mode::Disarmed(hold), true);
     }
 
+    /// Before the first cycle: begins disarmed, after so many stops of the one before.
+    pub fn begin_again(&mut self, stops: u32) {
+        self.begin_disarmed(Hold::NotArmed);
+        self.stops = stops;
+    }
+
     /// Its settings.
     pub fn rules(&self) -> Rules {
         self.rules

@@ -171,3 +171,26 @@ fn scheduling(task: &Path) -> (String, String, String) {
         .find_map(|line| line.strip_prefix("Cpus_allowed_list:"));
     (field(41), field(40), line.unwrap().trim().to_owned())
 }
+
+/// What was killed after it has begun again, or while it begins, was armed by nobody since.
+#[test]
+fn an_unclean_end_after_a_hang_up_is_known() {
+    for waits in [true, false] {
+        let own = Own::begun("");
+        own.daemon.signal(Signal::HUP);
+        own.manager.until("RELOADING=1");
+        if waits {
+            own.manager.until("READY=1");
+        }
+        own.daemon.signal(Signal::KILL);
+        own.daemon.kill();
+        let mut command = vpcd();
+        command.arg("--config").arg(own.place.path("vpcd.toml"));
+        command.arg("--domain").arg(own.place.domain()).arg("--arm");
+        let next = own.manager.manage(command, None);
+        own.manager.until("STATUS=disarmed");
+        let (code, log) = next.terminated().log();
+        assert_eq!(code, 0, "{log}");
+        assert!(log.contains("was killed or crashed"), "{log}");
+    }
+}

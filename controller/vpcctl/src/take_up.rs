@@ -5,10 +5,12 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use program::Exit;
 use rustix::process::{Pid, Signal, kill_process};
+use scene::Scene;
 
 use crate::failure::Failure;
 use crate::presence::Presence;
@@ -18,6 +20,8 @@ use crate::settings::Settings;
 const BUILDER: &str = "vpc-memory";
 /// Ends the names of files that were there before.
 const BEFORE: &str = ".before";
+/// And of those that are taken back where the daemon does not take the new ones.
+const UNDO: &str = ".undo";
 /// How long a daemon may check the files, brake and begin again.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Between two looks.
@@ -57,52 +61,101 @@ impl Daemon {
     }
 
     /// Puts these files in the places of the daemon's, and waits until it has begun again,
-    /// disarmed. What was there stays beside, as `*.before`.
+    /// disarmed. What was there stays beside, as `*.before`, where `keeps` says so.
     ///
     /// # Errors
-    /// A file cannot be moved, or the daemon does not take them: then its files are as before.
-    pub fn take_up(&self, scene: &Path, memory: Option<&Path>) -> Result<(), Failure> {
+    /// A file is wrong or cannot be moved, `stop` was set, or the daemon does not take them: then
+    /// its files are as before.
+    pub fn take_up(
+        &self,
+        scene: &Path,
+        memory: Option<&Path>,
+        keeps: bool,
+        stop: &AtomicBool,
+    ) -> Result<(), Failure> {
         let text = fs::read_to_string(scene)?;
-        let pairs = || {
-            let memory = memory.zip(self.memory.as_deref());
-            [(scene, &*self.scene)].into_iter().chain(memory)
-        };
-        for (_, old) in pairs() {
-            let before = with_suffix(old, BEFORE);
-            fs::copy(old, &before).map_err(Failure::write(&before))?;
-        }
+        // With the files beside the daemon's, before anything is moved.
+        Scene::parse(&text, &self.scene.display().to_string())?;
+        let memory = memory.zip(self.memory.as_deref());
+        let pairs = || [(scene, &*self.scene)].into_iter().chain(memory);
         for (new, old) in pairs() {
-            fs::rename(new, old).map_err(Failure::write(old))?;
+            let found = old.symlink_metadata().map_err(Failure::write(old))?;
+            if found.is_symlink() {
+                let message = format!("{}: a link; allowed: the file itself", old.display());
+                return Err(Failure::new(Exit::Refused, message));
+            }
+            let suffixes = [Some(UNDO), keeps.then_some(BEFORE)];
+            for kept in suffixes
+                .into_iter()
+                .flatten()
+                .map(|suffix| with_suffix(old, suffix))
+            {
+                fs::copy(old, &kept).map_err(Failure::write(&kept))?;
+            }
+            fs::set_permissions(new, found.permissions()).map_err(Failure::write(new))?;
         }
-        let begun = self.begin_again(&text);
-        if begun.is_err() {
-            for (_, old) in pairs() {
-                fs::rename(with_suffix(old, BEFORE), old).map_err(Failure::write(old))?;
+        let moved =
+            pairs().try_for_each(|(new, old)| fs::rename(new, old).map_err(Failure::write(old)));
+        let begun = moved.and_then(|()| self.begin_again(&text, stop));
+        for (_, old) in pairs() {
+            let undo = with_suffix(old, UNDO);
+            let ended = match &begun {
+                Ok(()) => fs::remove_file(&undo),
+                Err(_) => fs::copy(&undo, old).and_then(|_| fs::remove_file(&undo)),
+            };
+            if let Err(error) = ended {
+                eprintln!("vpcctl: {}: {error}", undo.display());
             }
         }
         begun
     }
 
-    fn begin_again(&self, scene: &str) -> Result<(), Failure> {
+    /// Whether it is the one at work.
+    pub fn is_at_work(&self) -> bool {
+        let process = self.process.as_raw_nonzero().get();
+        Presence::of(&self.directory).process() == u32::try_from(process).ok()
+    }
+
+    fn begin_again(&self, scene: &str, stop: &AtomicBool) -> Result<(), Failure> {
         let process = self.process.as_raw_nonzero();
         let refused = |why: &str| {
             let message = format!("the daemon, process {process}, {why}; its files are as before");
             Failure::new(Exit::Refused, message)
         };
+        if !self.is_at_work() {
+            return Err(refused("has ended"));
+        }
         let told = self.directory.join(ipc::SCENE_FILE);
         let written = |told: &Path| fs::metadata(told)?.modified();
         let before = written(&told).ok();
         kill_process(self.process, Signal::HUP).map_err(|error| refused(&error.to_string()))?;
         let end = Instant::now() + PATIENCE;
-        while Instant::now() < end {
+        while Instant::now() < end && !stop.load(Ordering::Relaxed) {
             // While it begins there is none.
             let is_new = written(&told).is_ok_and(|at| Some(at) != before);
-            if is_new && fs::read_to_string(&told).is_ok_and(|told| told == scene) {
+            let is_told = is_new && fs::read_to_string(&told).is_ok_and(|told| told == scene);
+            if is_told && self.is_at_work() {
                 return Ok(());
             }
             std::thread::sleep(PAUSE);
         }
         Err(refused("did not take the new files: its log says why"))
+    }
+}
+
+/// The right to change the daemon's files, of one program at a time.
+///
+/// # Errors
+/// Another has it.
+pub fn turn(directory: &Path) -> Result<fs::File, Failure> {
+    let path = directory.join("take-up.lock");
+    let file = fs::File::create(&path).map_err(Failure::write(&path))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(_) => {
+            let message = "another vpcctl teaches a goal or visits some: wait for its end";
+            Err(Failure::new(Exit::Refused, message))
+        }
     }
 }
 

@@ -7,6 +7,7 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -79,18 +80,29 @@ struct Seen {
 /// the goal is none, because a point would be in an occlusion. Also those of [`Daemon`].
 pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure> {
     let Some(output) = &with.output else {
-        return replace(directory, with.watch);
+        return replace(directory, with.watch, &*program::stop_on_signals()?);
     };
     let name = output.display();
     if !with.force && output.symlink_metadata().is_ok() {
         let message = format!("{name}: exists; allowed: a new file, or --force");
         return Err(Failure::new(Exit::Refused, message));
     }
+    let memory = output.with_extension("vpcmem");
+    if with.build && memory == *output {
+        let message = format!("{name}: the name of its memory; allowed: another, as NAME.toml");
+        return Err(Failure::new(Exit::Refused, message));
+    }
+    if with.build && !with.force && memory.symlink_metadata().is_ok() {
+        let message = format!(
+            "{}: exists; allowed: a new file, or --force",
+            memory.display()
+        );
+        return Err(Failure::new(Exit::Refused, message));
+    }
     let of_daemon = || directory.join(ipc::SCENE_FILE);
     let old = with.scene.clone().unwrap_or_else(of_daemon);
     let mut text = write(directory, &old, output, with.watch)?;
     let _ = writeln!(text, "wrote {name}");
-    let memory = output.with_extension("vpcmem");
     let next = format!("vpcd --scene {name} --memory {}", memory.display());
     let _ = match with.build {
         true => {
@@ -110,7 +122,8 @@ pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure>
 ///
 /// # Errors
 /// As [`teach`].
-pub fn replace(directory: &Path, watch: Duration) -> Result<String, Failure> {
+pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<String, Failure> {
+    let _turn = take_up::turn(directory)?;
     let daemon = Daemon::of(directory)?;
     let scene = with_suffix(&daemon.scene, ".taught");
     let memory = daemon.memory.as_deref();
@@ -125,7 +138,7 @@ pub fn replace(directory: &Path, watch: Duration) -> Result<String, Failure> {
     if let Some(memory) = &memory {
         take_up::build(&scene, memory)?;
     }
-    daemon.take_up(&scene, memory.as_deref())?;
+    daemon.take_up(&scene, memory.as_deref(), true, stop)?;
     let _ = writeln!(
         text,
         "the daemon has begun again with {}, disarmed\nnext: vpcctl arm",

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -10,13 +11,13 @@ use program::Exit;
 
 use crate::failure::Failure;
 use crate::status::Status;
-use crate::take_up::{Daemon, with_suffix};
+use crate::take_up::{self, Daemon, with_suffix};
 use crate::units::seconds;
 use crate::watcher::Watcher;
 use crate::{output, request};
 
 /// How long a daemon that has begun again may take until it sees camera and robot.
-const PATIENCE: Duration = Duration::from_secs(10);
+const PATIENCE: Duration = Duration::from_secs(3);
 /// How long it may take to answer.
 const ANSWER: Duration = Duration::from_secs(2);
 /// Between two looks.
@@ -39,21 +40,24 @@ pub struct VisitArguments {
 /// each.
 ///
 /// # Errors
-/// As [`Daemon`]. Whoever stops or disarms ends the visit, and so does a goal that is not reached
-/// in time, after which the daemon is disarmed.
+/// As [`Daemon`]. A stop ends the visit, and so does who disarms on the way. Where a goal is not
+/// reached in time, or a signal ends it, the daemon is disarmed.
 pub fn visit(directory: &Path, with: &VisitArguments) -> Result<Exit, Failure> {
     // A wrong file is told before anything moves.
     for path in &with.scenes {
         scene::Scene::read(path)?;
     }
-    for path in &with.scenes {
+    let stop = program::stop_on_signals()?;
+    let _turn = take_up::turn(directory)?;
+    for (number, path) in with.scenes.iter().enumerate() {
         let daemon = Daemon::of(directory)?;
         let scene = copy(path, &daemon.scene)?;
         let memory = daemon.memory.as_deref();
         let memory = memory.map(|memory| copy(&path.with_extension("vpcmem"), memory));
-        daemon.take_up(&scene, memory.transpose()?.as_deref())?;
-        let begin = arm(directory)?;
-        arrive(directory, begin, with.within).map_err(|failure| {
+        let memory = memory.transpose()?;
+        daemon.take_up(&scene, memory.as_deref(), number == 0, &stop)?;
+        let begin = arm(directory, &daemon, &stop)?;
+        arrive(directory, begin, with.within, &stop).map_err(|failure| {
             let message = format!("{}: {failure}", path.display());
             Failure::new(failure.exit, message)
         })?;
@@ -77,9 +81,13 @@ fn copy(from: &Path, place: &Path) -> Result<PathBuf, Failure> {
 
 /// Arms, as soon as the daemon sees camera and robot; when that was. A stop since then, or before,
 /// is not armed over.
-fn arm(directory: &Path) -> Result<Instant, Failure> {
+fn arm(directory: &Path, daemon: &Daemon, stop: &AtomicBool) -> Result<Instant, Failure> {
     let end = Instant::now() + PATIENCE;
     loop {
+        if stop.load(Ordering::Relaxed) || !daemon.is_at_work() {
+            let message = "the visit, or the daemon, was ended; disarmed";
+            return Err(Failure::new(Exit::Attention, message));
+        }
         let reply = request::send(directory, &request::arm(0), ANSWER);
         let reply = match reply {
             // It begins.
@@ -101,11 +109,16 @@ fn refused(reply: &messages::Reply) -> Failure {
 }
 
 /// Waits until the camera has arrived.
-fn arrive(directory: &Path, begin: Instant, within: Duration) -> Result<(), Failure> {
+fn arrive(
+    directory: &Path,
+    begin: Instant,
+    within: Duration,
+    stop: &AtomicBool,
+) -> Result<(), Failure> {
     let armed_ns = ipc::now_ns();
     let mut watcher = Watcher::open(directory)?;
     let mut status = Status::new(&watcher);
-    while begin.elapsed() < within {
+    while begin.elapsed() < within && !stop.load(Ordering::Relaxed) {
         status.update(&mut watcher)?;
         let latest = status.view.latest();
         let latest = latest.filter(|record| record.stamp.published_ns > armed_ns);
@@ -121,6 +134,9 @@ fn arrive(directory: &Path, begin: Instant, within: Duration) -> Result<(), Fail
     }
     request::send(directory, &request::plain(Action::Disarm), ANSWER)?;
     let seconds = within.as_secs_f64();
-    let message = format!("not arrived within {seconds} s; disarmed");
+    let message = match stop.load(Ordering::Relaxed) {
+        true => "ended by a signal; disarmed".to_owned(),
+        false => format!("not arrived within {seconds} s; disarmed"),
+    };
     Err(Failure::new(Exit::Attention, message))
 }

@@ -8,6 +8,7 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -59,8 +60,6 @@ struct Server {
     token: Option<String>,
     /// A descriptor that is free for the stop file where connections took all others.
     spare: Mutex<Option<File>>,
-    /// Held while a goal is taught.
-    teaching: tokio::sync::Mutex<()>,
 }
 
 /// Serves the page until a signal comes; with `control`, the page may arm, disarm, stop and
@@ -81,7 +80,6 @@ pub fn run(
         views: Arc::new(Semaphore::new(VIEWS)),
         token: control.then(token).transpose()?,
         spare: Mutex::new(Some(File::open(SPARE)?)),
-        teaching: tokio::sync::Mutex::default(),
     });
     // The part behind # stays in the browser: it is not sent, and not logged.
     let token = server.token.as_ref().map(|token| format!("#{token}"));
@@ -195,10 +193,7 @@ async fn show_goal(State(server): State<Arc<Server>>, headers: HeaderMap) -> Res
         Ok(directory) => directory,
         Err(why) => return refusal(StatusCode::FORBIDDEN, why),
     };
-    let Ok(_turn) = server.teaching.try_lock() else {
-        return refusal(StatusCode::CONFLICT, "a goal is being taught already");
-    };
-    let taught = move || teach::replace(&directory, LOOK);
+    let taught = move || teach::replace(&directory, LOOK, &AtomicBool::new(false));
     match tokio::task::spawn_blocking(taught).await {
         Ok(Ok(lines)) => lines.into_response(),
         Ok(Err(failure)) => refusal(StatusCode::CONFLICT, &failure.to_string()),
