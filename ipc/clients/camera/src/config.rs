@@ -49,7 +49,25 @@ pub enum Command {
     /// Measure where printed tags lie, and write a scene with that pattern. Hold the camera so that
     /// it sees all of them, still.
     #[cfg(feature = "detector")]
-    Pattern(crate::pattern::Arguments),
+    Pattern(PatternArguments),
+}
+
+/// The command line of `pattern`.
+#[derive(Args, Clone, Debug)]
+pub struct PatternArguments {
+    /// Configuration file (TOML): source, scene, calibration and tags.
+    #[arg(long, value_name = "FILE")]
+    pub config: PathBuf,
+    /// Width of the black square of a tag, measured on the paper, m.
+    #[arg(long, value_name = "METERS")]
+    pub black: f64,
+    /// The scene to write: that of the configuration with this pattern; in its folder, if it names
+    /// other files.
+    #[arg(short, long, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Overwrite the file.
+    #[arg(long)]
+    pub force: bool,
 }
 
 /// Paths are relative to the file. Most keys have a flag, which wins.

@@ -2,17 +2,16 @@
 //! width of their black squares: the pattern of a scene.
 
 use std::fs;
-use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
-use clap::{Args, CommandFactory};
+use clap::CommandFactory;
 use ipc::Domain;
 use nalgebra::{DMatrix, DVector, Isometry3, Point3, Rotation3, Translation3, Vector3};
 use scene::with_value;
 
-use crate::config::{self, Config, Targets};
+use crate::config::{self, Config, PatternArguments, Targets};
 use crate::lens::Lens;
 use crate::plane::{Homography, Point};
 use crate::run::open;
@@ -35,24 +34,6 @@ const STEPS: usize = 60;
 const DAMPING: f64 = 1e-3;
 const CHANGE: f64 = 1e-7;
 
-/// The command line of `pattern`.
-#[derive(Args, Clone, Debug)]
-pub struct Arguments {
-    /// Configuration file (TOML): source, scene, calibration and tags.
-    #[arg(long, value_name = "FILE")]
-    pub config: PathBuf,
-    /// Width of the black square of a tag, measured on the paper, m.
-    #[arg(long, value_name = "METERS")]
-    pub black: f64,
-    /// The scene to write: that of the configuration with this pattern; in its folder, if it names
-    /// other files.
-    #[arg(short, long, value_name = "FILE")]
-    pub output: PathBuf,
-    /// Overwrite the file.
-    #[arg(long)]
-    pub force: bool,
-}
-
 /// Where tags lie.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Layout {
@@ -68,7 +49,7 @@ pub struct Layout {
 ///
 /// # Errors
 /// What was refused, with what is allowed.
-pub fn run(arguments: &Arguments) -> anyhow::Result<String> {
+pub fn run(arguments: &PatternArguments) -> anyhow::Result<String> {
     let (file, black) = (arguments.output.display(), arguments.black);
     ensure!(
         (1e-3..=1.0).contains(&black),
