@@ -1,6 +1,6 @@
 //! The module `vpc` for Python: the law, the memory, the emulated cameras and the table, over the
-//! same crates as `vpcd` and `cargo table`. No mathematics of its own: it converts arrays and errors,
-//! and lets other threads of Python run.
+//! same crates as `vpcd` and `cargo table`. No mathematics of its own: it converts arrays and
+//! errors, and lets other threads of Python run.
 
 mod array;
 mod camera;

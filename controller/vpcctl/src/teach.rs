@@ -45,7 +45,7 @@ pub struct TeachArguments {
     #[arg(short, long, value_name = "FILE", required_unless_present = "replace")]
     pub output: Option<PathBuf>,
 
-    /// Build its memory of motion, too, beside it.
+    /// Also build its memory of motion, NAME.vpcmem in the same folder.
     #[arg(long)]
     pub build: bool,
 

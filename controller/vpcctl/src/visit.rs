@@ -43,7 +43,7 @@ pub struct VisitArguments {
 /// As [`Daemon`]. A stop ends the visit, and so does who disarms on the way. Where a goal is not
 /// reached in time, or a signal ends it, the daemon is disarmed.
 pub fn visit(directory: &Path, with: &VisitArguments) -> Result<Exit, Failure> {
-    // A wrong file is told before anything moves.
+    // Wrong files are refused before anything moves.
     for path in &with.scenes {
         scene::Scene::read(path)?;
     }
@@ -70,7 +70,7 @@ pub fn visit(directory: &Path, with: &VisitArguments) -> Result<Exit, Failure> {
     Ok(Exit::Ok)
 }
 
-/// A copy beside the file whose place it is to take.
+/// A copy in the folder of the file that it will replace.
 fn copy(from: &Path, place: &Path) -> Result<PathBuf, Failure> {
     let to = with_suffix(place, ".next");
     let read = |error| Failure::new(Exit::NoInput, format!("{}: {error}", from.display()));
