@@ -38,8 +38,10 @@ const SETTLED: f64 = 1e-3;
 /// A draft ends where it still violates more than this after so many passes.
 const HOPELESS_PX: f64 = 10.0;
 const HOPELESS: u32 = 12;
+/// Passes after which a draft ends that costs more than the best known way.
+const DEAR: u32 = 6;
 /// Greatest violation of a way that is done, px. The simulated future of it corrects what is left.
-const CLEAR_PX: f64 = 1.0;
+const CLEAR_PX: f64 = 3.0;
 /// Damping after a pass that gained nothing, its growth, and the greatest.
 const DAMPING: f64 = 0.1;
 const STRONGER: f64 = 10.0;
@@ -56,7 +58,7 @@ pub(crate) enum Progress {
     Going,
     /// It is as good as it gets, and clear.
     Done,
-    /// It leads through a border, or nowhere.
+    /// It leads through a border, costs too much, or leads nowhere.
     Blocked,
 }
 
@@ -131,8 +133,13 @@ impl Draft {
         (self.start, self.merit) = ((&course.start).into(), f64::INFINITY);
     }
 
-    /// One pass.
-    pub(crate) fn refine(&mut self, refiner: &mut Refiner<'_>, course: &Course<'_>) -> Progress {
+    /// One pass. After [`DEAR`] passes, a draft that costs more than `most` is blocked.
+    pub(crate) fn refine(
+        &mut self,
+        refiner: &mut Refiner<'_>,
+        course: &Course<'_>,
+        most: f64,
+    ) -> Progress {
         let course = Course {
             barrier: self.barrier,
             damping: self.damping,
@@ -149,6 +156,9 @@ impl Draft {
             true => self.damping / STRONGER,
             false => (STRONGER * self.damping).max(DAMPING),
         };
+        if self.passes >= DEAR && worth.cost > most {
+            return Progress::Blocked;
+        }
         let is_over = self.passes >= PASSES;
         if !is_better && self.damping <= STRONGEST && !is_over {
             return Progress::Going;

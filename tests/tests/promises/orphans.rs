@@ -133,11 +133,14 @@ fn leaves_nothing(program: &str, arguments: &[&str]) {
     for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
         let mut parent = Parent::start(program, arguments, None);
         parent.runs(&["vpcd", "hw-sim"]);
+        let prefixes = eventually("the pair's shared memory", || {
+            let domains = parent.domains();
+            let prefixes = domains.iter().map(|domain| shared_memory_prefix(domain));
+            let prefixes = prefixes.collect::<Result<Vec<_>, _>>().ok()?;
+            (segments(&prefixes) > 0).then_some(prefixes)
+        });
         std::thread::sleep(Duration::from_millis(300));
-        let (domains, before) = (parent.domains(), parent.family());
-        let prefixes = domains.iter().map(|domain| shared_memory_prefix(domain));
-        let prefixes: Vec<_> = prefixes.map(Result::unwrap).collect();
-        assert!(segments(&prefixes) > 0, "{domains:?}");
+        let before = parent.family();
         let begin = Instant::now();
         let status = parent.ends_by(signal);
         let ended = begin.elapsed();
@@ -149,7 +152,7 @@ fn leaves_nothing(program: &str, arguments: &[&str]) {
             });
         } else {
             assert_eq!(parent.family(), [], "{name}, {signal:?}, of {before:?}");
-            assert_eq!(segments(&prefixes), 0, "{name}, {signal:?}: {domains:?}");
+            assert_eq!(segments(&prefixes), 0, "{name}, {signal:?}: {prefixes:?}");
             let left = fs::read_dir(parent.place.path("")).unwrap().flatten();
             let left: Vec<_> = left.map(|entry| entry.file_name()).collect();
             let is_ours = |name: &std::ffi::OsString| name.as_bytes().starts_with(b"vpc-");
@@ -254,10 +257,11 @@ fn a_test_harness_leaves_no_process_behind() {
     for signal in [Signal::ABORT, Signal::KILL] {
         let mut parent = Parent::start("env", &words, None);
         parent.runs(&["vpcd", "hw-sim", "sleep"]);
-        std::thread::sleep(Duration::from_millis(500));
-        let before = parent.family();
-        let daemons = before.iter().filter(|(_, name)| name == "vpcd").count();
-        assert_eq!(daemons, DAEMONS, "{before:?}");
+        let before = eventually("all daemons", || {
+            let family = parent.family();
+            let daemons = family.iter().filter(|(_, name)| name == "vpcd").count();
+            (daemons == DAEMONS).then_some(family)
+        });
         let begin = Instant::now();
         let status = match signal {
             Signal::KILL => parent.ends_by(signal),
