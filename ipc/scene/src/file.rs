@@ -441,6 +441,13 @@ mod tests {
         assert!(edited("fx = 800.0", "fx = 800.0\nskew = 0.0").contains("skew"));
         assert!(edited("fy = 800.0\n", "").contains("fy"));
         assert!(edited("fy = 800.0", "fy = \"far\"").contains("line 11"));
+        let (head, tail) = crate::PAPER_SIM.split_once("[cost]").unwrap();
+        let (_, tail) = tail.split_once("\n[").unwrap();
+        let message = Scene::parse(&format!("{head}[{tail}"), "s.toml").unwrap_err();
+        assert_eq!(
+            message.to_string(),
+            "s.toml: cost is missing; allowed: a table with k_q, r"
+        );
     }
 
     #[test]

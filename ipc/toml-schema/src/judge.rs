@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::Value as Json;
 use toml::Value;
 
-use crate::schema::{allowed, schema, words};
+use crate::schema::{allowed, needed, schema, words};
 
 /// A key whose value is not allowed, or that is missing.
 #[derive(Clone, Debug, PartialEq)]
@@ -144,7 +144,7 @@ fn judge_table(schema: &Json, table: &toml::Table, key: &str) -> Result<(), Opti
             return Err(Some(Refusal {
                 key: full(name),
                 value: None,
-                allowed: allowed(&schema["properties"][name]),
+                allowed: needed(&schema["properties"][name]),
             }));
         }
     }

@@ -118,6 +118,30 @@ pub(crate) fn allowed(schema: &Value) -> String {
     }
 }
 
+/// Returns what is [`allowed`]; where all of the type is, the type, of a table with the keys that it
+/// needs.
+pub(crate) fn needed(schema: &Value) -> String {
+    let keys = |schema: &Value, by: &str| {
+        let keys = schema["required"].as_array().into_iter().flatten();
+        keys.filter_map(Value::as_str).collect::<Vec<_>>().join(by)
+    };
+    let words = allowed(schema);
+    if !words.is_empty() {
+        return words;
+    }
+    if let Some(forms) = schema["oneOf"].as_array() {
+        let forms: Vec<_> = forms.iter().map(|form| keys(form, " and ")).collect();
+        return format!("a table with {}", forms.join(", or "));
+    }
+    match schema["type"].as_str() {
+        Some("object") => format!("a table with {}", keys(schema, ", ")),
+        Some("integer") => "a whole number".to_owned(),
+        Some("boolean") => "true, false".to_owned(),
+        Some(name) => format!("a {name}"),
+        None => "a value".to_owned(),
+    }
+}
+
 /// Returns the shorter of `10000` and `1e4`.
 fn number(value: &Value) -> Option<String> {
     let value = value.as_f64()?;

@@ -123,6 +123,10 @@ fn a_refusal_names_file_key_value_and_range() {
             "[[part]]",
             "a.toml: part[0].at is missing; allowed: 2 numbers, -pi to 10 m",
         ),
+        (
+            "[[part]]\nat = [0, 0]",
+            "a.toml: part[0].form is missing; allowed: a table with corners, or radius",
+        ),
     ] {
         assert_eq!(refused(text), words);
     }
