@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use ipc::Subscriber;
-use messages::{Features, MAX_POINTS};
+use messages::{CycleRecord, Features, MAX_POINTS, TwistState};
 use nalgebra::Rotation3;
 use program::Exit;
 use scene::{Scene, with_value};
@@ -76,7 +76,7 @@ struct Seen {
 /// asked for: what was taught.
 ///
 /// # Errors
-/// The file exists, no features come, the camera moves, the points are not those of the pattern, or
+/// The file exists, no features come, the daemon is armed, the camera moves, the points are not those of the pattern, or
 /// the goal is none, because a point would be in an occlusion. Also those of [`Daemon`].
 pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure> {
     let Some(output) = &with.output else {
@@ -151,7 +151,10 @@ pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<S
 fn write(directory: &Path, path: &Path, output: &Path, watch: Duration) -> Result<String, Failure> {
     let old = Scene::read(path)?;
     let domain = presence::join(directory)?;
-    let seen = look(domain.subscriber(usize::MAX)?, old.pattern.len(), watch)?;
+    let cycles = domain.subscriber(usize::MAX)?;
+    let seen = look(domain.subscriber(usize::MAX)?, old.pattern.len(), watch);
+    check_disarmed(cycles)?;
+    let seen = seen?;
     let text = fs::read_to_string(path)?;
     let (text, fit_px) = taught(&text, path, &old, &seen)?;
     let new = Scene::parse(&text, &output.display().to_string())?;
@@ -212,6 +215,19 @@ fn look(
         return Err(Failure::new(Exit::Refused, message));
     }
     still(&images)
+}
+
+/// An armed daemon would pull against the hand.
+fn check_disarmed(mut cycles: Subscriber<CycleRecord>) -> Result<(), Failure> {
+    while let Some(record) = cycles.oldest()? {
+        let state = TwistState::from_code(record.state);
+        let is_armed = !matches!(state, Some(TwistState::Disarmed | TwistState::Stopped));
+        if is_armed {
+            let message = "the daemon is armed; allowed: disarmed, by vpcctl disarm";
+            return Err(Failure::new(Exit::Refused, message));
+        }
+    }
+    Ok(())
 }
 
 /// The mean of images; refused where the camera or the pattern moves.

@@ -43,38 +43,59 @@ pub struct VisitArguments {
 /// As [`Daemon`]. A stop ends the visit, and so does who disarms on the way. Where a goal is not
 /// reached in time, or a signal ends it, the daemon is disarmed.
 pub fn visit(directory: &Path, with: &VisitArguments) -> Result<Exit, Failure> {
-    // Wrong files are refused before anything moves.
-    for path in &with.scenes {
-        scene::Scene::read(path)?;
-    }
     let stop = program::stop_on_signals()?;
     let _turn = take_up::turn(directory)?;
-    for (number, path) in with.scenes.iter().enumerate() {
+    let has_memory = Daemon::of(directory)?.memory.is_some();
+    // Before anything moves: wrong files are refused, and one may be the daemon's own.
+    let goals = with.scenes.iter().map(|path| Goal::read(path, has_memory));
+    let goals: Vec<_> = goals.collect::<Result<_, _>>()?;
+    for (number, goal) in goals.iter().enumerate() {
         let daemon = Daemon::of(directory)?;
-        let scene = copy(path, &daemon.scene)?;
-        let memory = daemon.memory.as_deref();
-        let memory = memory.map(|memory| copy(&path.with_extension("vpcmem"), memory));
-        let memory = memory.transpose()?;
+        let scene = next(&goal.scene, &daemon.scene)?;
+        let files = goal.memory.as_deref().zip(daemon.memory.as_deref());
+        let memory = files.map(|(bytes, place)| next(bytes, place)).transpose()?;
         daemon.take_up(&scene, memory.as_deref(), number == 0, &stop)?;
         let begin = arm(directory, &daemon, &stop)?;
         arrive(directory, begin, with.within, &stop).map_err(|failure| {
-            let message = format!("{}: {failure}", path.display());
+            let message = format!("{}: {failure}", goal.name);
             Failure::new(failure.exit, message)
         })?;
         let seconds = begin.elapsed().as_secs_f64();
-        output::write(&format!(
-            "arrived at {} after {seconds:.1} s\n",
-            path.display()
-        ))?;
+        output::write(&format!("arrived at {} after {seconds:.1} s\n", goal.name))?;
     }
     Ok(Exit::Ok)
 }
 
-/// A copy in the folder of the file that it will replace.
-fn copy(from: &Path, place: &Path) -> Result<PathBuf, Failure> {
+/// A goal to visit.
+struct Goal<'a> {
+    /// The file of the scene.
+    name: std::path::Display<'a>,
+    /// What is in it.
+    scene: Vec<u8>,
+    /// What is in its memory, if the daemon has one.
+    memory: Option<Vec<u8>>,
+}
+
+impl<'a> Goal<'a> {
+    fn read(path: &'a Path, has_memory: bool) -> Result<Self, Failure> {
+        scene::Scene::read(path)?;
+        let memory = path.with_extension("vpcmem");
+        Ok(Self {
+            name: path.display(),
+            scene: bytes(path)?,
+            memory: has_memory.then(|| bytes(&memory)).transpose()?,
+        })
+    }
+}
+
+fn bytes(path: &Path) -> Result<Vec<u8>, Failure> {
+    let read = |error| Failure::new(Exit::NoInput, format!("{}: {error}", path.display()));
+    fs::read(path).map_err(read)
+}
+
+/// A file of these bytes in the folder of the one that it will replace.
+fn next(bytes: &[u8], place: &Path) -> Result<PathBuf, Failure> {
     let to = with_suffix(place, ".next");
-    let read = |error| Failure::new(Exit::NoInput, format!("{}: {error}", from.display()));
-    let bytes = fs::read(from).map_err(read)?;
     fs::write(&to, bytes).map_err(Failure::write(&to))?;
     Ok(to)
 }
