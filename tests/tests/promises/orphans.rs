@@ -133,13 +133,13 @@ fn leaves_nothing(program: &str, arguments: &[&str]) {
     for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
         let mut parent = Parent::start(program, arguments, None);
         parent.runs(&["vpcd", "hw-sim"]);
+        std::thread::sleep(Duration::from_millis(300));
         let prefixes = eventually("the pair's shared memory", || {
             let domains = parent.domains();
             let prefixes = domains.iter().map(|domain| shared_memory_prefix(domain));
             let prefixes = prefixes.collect::<Result<Vec<_>, _>>().ok()?;
             (segments(&prefixes) > 0).then_some(prefixes)
         });
-        std::thread::sleep(Duration::from_millis(300));
         let before = parent.family();
         let begin = Instant::now();
         let status = parent.ends_by(signal);
