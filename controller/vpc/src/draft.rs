@@ -56,7 +56,7 @@ const WHOLE: f64 = 1.0 - 1e-6;
 pub(crate) enum Progress {
     /// It needs more passes.
     Going,
-    /// It is as good as it gets, and clear.
+    /// It is as good as it gets, and at most [`CLEAR_PX`] too deep.
     Done,
     /// It leads through a border, costs too much, or leads nowhere.
     Blocked,

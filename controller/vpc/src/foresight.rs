@@ -56,7 +56,8 @@ const CHEAPER: f64 = 0.995;
 const FIRST: f64 = 0.9;
 const REFINING: f64 = 0.85;
 const SEEKING: f64 = 0.6;
-/// How far beside the straight way a draft's first guess passes at most, m.
+/// How far to the side a listed first guess of a draft passes, and a drawn one along each axis at
+/// most, m.
 const BESIDE: f64 = 0.25;
 const DIAGONAL: f64 = BESIDE * core::f64::consts::FRAC_1_SQRT_2;
 /// Where the first guesses of a run pass, beside and behind the middle of the straight way, m. Of
@@ -465,21 +466,23 @@ impl Thinker<'_> {
         };
         let most = (share * self.most_work as f64) as u64;
         while self.done() < most && self.budget > 0 {
-            if self.draft.passes == 0 {
-                foresight.drafted += 1;
-                self.begin_draft(&course, best, foresight);
-            }
             if let Outcome::Arrives { steps, .. } = best.outcome {
                 course.steps = COMMANDS.min(steps.max(0.0) as usize + TAIL);
             }
-            let done = self.done();
-            let fits =
-                |refiner: &&mut Refiner<'_>| done + refiner.most(course.steps) <= self.most_work;
-            let Some(refiner) = self.refiner.as_mut().filter(fits) else {
+            // No draft is begun that no pass follows.
+            if self.draft.passes == 0 && self.fits(&course) {
+                foresight.drafted += 1;
+                self.begin_draft(&course, best, foresight);
+            }
+            // What the law does under a guide has been simulated meanwhile.
+            let fits = self.fits(&course);
+            let Some(refiner) = self.refiner.as_mut().filter(|_| fits) else {
                 return;
             };
+            // A future is paid by the period, a draft by the step.
+            let periods = self.policy.task.ts / self.policy.task.period;
             let known = match best.outcome {
-                Outcome::Arrives { cost, .. } => cost,
+                Outcome::Arrives { cost, .. } if cost > 0.0 => cost / periods,
                 _ => f64::INFINITY,
             };
             match self.draft.refine(refiner, &course, known) {
@@ -491,6 +494,13 @@ impl Thinker<'_> {
             }
             self.draft.discard();
         }
+    }
+
+    /// Whether another pass over a draft fits into this cycle.
+    fn fits(&self, course: &Course<'_>) -> bool {
+        let pass = |refiner: &Refiner<'_>| refiner.most(course.steps);
+        let pass = self.refiner.as_ref().map_or(0, pass);
+        self.done() + pass <= self.most_work
     }
 
     /// A first guess: at first those of [`ASIDE`]; afterwards in turn the incumbent, one by any
