@@ -31,6 +31,19 @@ fn the_book_has_every_document_and_what_they_link_to() {
 
 #[test]
 #[ignore = "needs mdbook: CI runs it"]
+fn the_book_may_have_the_libraries() {
+    let place = tempfile::tempdir().unwrap();
+    let mut xtask = testkit::command(program("xtask"));
+    let said = ended(xtask.args(["book", "--api"]).arg(place.path()));
+    assert_eq!(said.code, Some(0), "{said:?}");
+    let page = std::fs::read_to_string(place.path().join("api.html")).unwrap();
+    assert!(page.contains("api/memory_blob/index.html"), "{page}");
+    let law = place.path().join("api/vpc/law/struct.Law.html");
+    assert!(law.is_file(), "{}", law.display());
+}
+
+#[test]
+#[ignore = "needs mdbook: CI runs it"]
 fn the_book_replaces_nothing_but_a_book() {
     let place = tempfile::tempdir().unwrap();
     let file = place.path().join("mine.txt");

@@ -1,5 +1,6 @@
 //! The book: the Markdown of the tree as one site, which mdBook makes and which works from a file.
 
+mod api;
 mod links;
 
 use std::collections::BTreeSet;
@@ -71,6 +72,7 @@ const PARTS: &[(&str, &[(&str, &str)])] = &[
         "Safety and judges",
         &[
             ("Safety, and what it is not", "controller/SAFETY.md"),
+            ("What it cannot do", "controller/LIMITS.md"),
             ("Promises", "tests/PROMISES.md"),
             ("Judges", "tests/JUDGES.md"),
         ],
@@ -105,11 +107,13 @@ const PARTS: &[(&str, &[(&str, &str)])] = &[
     ),
 ];
 
-/// Makes the book in a directory that is empty, not there, or has a book.
+/// Makes the book in a directory that is empty, not there, or has a book; with the documentation of
+/// the libraries if it `has_api`.
 ///
 /// # Errors
-/// Without mdBook, if [`PARTS`] is not complete, or if a link is broken.
-pub fn book(to: &Path) -> anyhow::Result<()> {
+/// Without mdBook, if [`PARTS`] is not complete, if a library cannot be documented, or if a link is
+/// broken.
+pub fn book(to: &Path, has_api: bool) -> anyhow::Result<()> {
     let found = said(tool("mdbook").arg("--version")).unwrap_or_default();
     ensure!(
         found.starts_with("mdbook v0.5."),
@@ -129,7 +133,13 @@ pub fn book(to: &Path) -> anyhow::Result<()> {
     for page in pages() {
         copy(page, &source.join(page))?;
     }
-    std::fs::write(source.join("SUMMARY.md"), summary())?;
+    let mut summary = summary();
+    let api = has_api.then(api::Api::make).transpose()?;
+    if let Some(api) = &api {
+        std::fs::write(source.join(api::PAGE), api.page()?)?;
+        summary += &format!("# Libraries\n\n- [The libraries in Rust]({})\n", api::PAGE);
+    }
+    std::fs::write(source.join("SUMMARY.md"), summary)?;
     for (name, text) in [
         ("book.toml", include_str!("book/book.toml")),
         ("book.css", include_str!("book/book.css")),
@@ -140,8 +150,12 @@ pub fn book(to: &Path) -> anyhow::Result<()> {
     said(mdbook.arg("build").arg(place.path()).arg("-d").arg(to))?;
 
     let made = ["index.html", "toc.html"].map(PathBuf::from);
-    let pages = pages().map(|page| page.with_extension("html"));
+    let listed = pages().chain(api.is_some().then_some(Path::new(api::PAGE)));
+    let pages = listed.map(|page| page.with_extension("html"));
     let pages: Vec<_> = pages.chain(made).collect();
+    if let Some(api) = &api {
+        api.copy(&to.join(api::FOLDER))?;
+    }
     let links = links::follow(to, &pages, &tracked)?;
     let start = to.join("index.html");
     println!("{}: {links} links", start.display());

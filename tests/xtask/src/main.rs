@@ -120,6 +120,9 @@ enum Command {
         /// A directory that is empty, not there, or has a book
         #[arg(default_value = "out/book")]
         directory: PathBuf,
+        /// With the documentation of the libraries, which cargo makes
+        #[arg(long)]
+        api: bool,
     },
     /// Make a release: source, Debian package, wheel, notes and checksums
     Release {
@@ -159,7 +162,7 @@ fn codegen(check: bool) -> anyhow::Result<()> {
 fn main() -> anyhow::Result<()> {
     match Command::parse() {
         Command::Codegen { check } => codegen(check),
-        Command::Book { directory } => book::book(&directory),
+        Command::Book { directory, api } => book::book(&directory, api),
         Command::Release { directory } => release::release(&directory),
     }
 }
