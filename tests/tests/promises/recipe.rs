@@ -81,17 +81,17 @@ fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
     let built = run("vpc-memory", &build, &folder);
     assert_eq!(built.code, Some(0), "{built:?}");
 
+    // Three programs, in two lines.
     let readme = std::fs::read_to_string(root().join("ipc/clients/panda/README.md")).unwrap();
-    let line = readme
-        .lines()
-        .find(|line| line.starts_with("hw-sim --config hw-sim.toml &"));
+    let is_first = |line: &&str| !line.starts_with("hw-sim --config hw-sim.toml --domain $D");
+    let lines: Vec<_> = readme.lines().skip_while(is_first).take(2).collect();
+    let line = lines.join("\n");
     // An address of its own: others may rehearse on this machine.
     let own = format!("127.{}.1.1", 10 + std::process::id() % 200);
     let emulator = folder.join("hw-sim.toml");
     let text = std::fs::read_to_string(&emulator).unwrap();
     std::fs::write(emulator, text.replace("127.0.0.1", &own)).unwrap();
-    let line = line.unwrap().replace("127.0.0.1", &own);
-    let line = line.replace("--config", &format!("--domain {domain} --config"));
+    let line = line.replace("127.0.0.1", &own).replace("$D", domain);
     let mut observer = Observer::open(&Domain::join(&place.domain()).unwrap()).unwrap();
     let running = Line::start(&line, &folder);
     let ask = |words: &[&str]| {
