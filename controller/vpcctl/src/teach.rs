@@ -76,8 +76,9 @@ struct Seen {
 /// asked for: what was taught.
 ///
 /// # Errors
-/// The file exists, no features come, the daemon is armed, the camera moves, the points are not those of the pattern, or
-/// the goal is none, because a point would be in an occlusion. Also those of [`Daemon`].
+/// The file exists, no features come, the daemon is armed, the camera moves, the points are not
+/// those of the pattern, or the goal is none, because a point would be in an occlusion. Also those
+/// of [`Daemon`].
 pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure> {
     let Some(output) = &with.output else {
         return replace(directory, with.watch, &*program::stop_on_signals()?);

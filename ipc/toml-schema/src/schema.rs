@@ -118,8 +118,8 @@ pub(crate) fn allowed(schema: &Value) -> String {
     }
 }
 
-/// Returns what is [`allowed`]; where all of the type is, the type, of a table with the keys that it
-/// needs.
+/// Returns what is [`allowed`]; where all of the type is, the type, and of a table also the keys
+/// that it needs.
 pub(crate) fn needed(schema: &Value) -> String {
     let keys = |schema: &Value, by: &str| {
         let keys = schema["required"].as_array().into_iter().flatten();

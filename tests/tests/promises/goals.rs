@@ -57,8 +57,8 @@ impl Shown {
         command
     }
 
-    /// Teaches the present view as the goal. Returns two scene files: of this goal, and of one a few
-    /// centimeters away.
+    /// Teaches the present view as the goal. Returns two scene files: of this goal, and of one a
+    /// few centimeters away.
     fn taught(&self) -> [String; 2] {
         let said = ended(self.vpcctl(&["teach", "--replace"]));
         assert_eq!(said.code, Some(0), "{said:?}");
