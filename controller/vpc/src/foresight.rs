@@ -239,10 +239,10 @@ impl Foresight {
             || self.suspended.is_some_and(|rest| is_along(&rest.candidate))
     }
 
-    /// Advances the expectations by one period, which cost `spent`.
-    pub(crate) fn pass(&mut self, task: &Task, spent: f64) {
-        let passed = task.period / task.ts;
-        self.trusted += passed;
+    /// Advances the expectations by one period, in which the camera came `passed` steps further on
+    /// its way, which cost `spent`.
+    pub(crate) fn pass(&mut self, task: &Task, passed: f64, spent: f64) {
+        self.trusted += task.period / task.ts;
         if let Some(suspended) = &mut self.suspended {
             suspended.since += passed;
             suspended.spent += spent;
@@ -357,7 +357,10 @@ pub(crate) struct Thinker<'a> {
     pub previous: &'a Plan,
     /// Clearance that the present command keeps beside the settings', px: so do all futures.
     pub extra_px: f64,
-    /// l(v) / Np of the present period.
+    /// Steps by which the camera comes further on its way in the present period: fewer than it has
+    /// where another command than the law's was sent.
+    pub passed: f64,
+    /// l(v) / Np of these.
     pub spent: f64,
     /// Distance below which the features are at the goal (largest component), px.
     pub converged_px: f64,
@@ -388,7 +391,7 @@ impl Thinker<'_> {
         if !is_far && !is_along && foresight.guide != direct {
             (foresight.guide, foresight.suspended) = (direct, None);
         }
-        foresight.pass(self.policy.task, self.spent);
+        foresight.pass(self.policy.task, self.passed, self.spent);
         foresight.lost = match foresight.knows_a_way() {
             true => 0,
             false => foresight.lost.saturating_add(1),
@@ -455,9 +458,8 @@ impl Thinker<'_> {
         let Some(mut course) = course(&self.policy, self.initial, extra_px) else {
             return self.draft.discard();
         };
-        let steps = self.policy.task.period / self.policy.task.ts;
         if self.draft.passes > 0 {
-            self.draft.pass_by(steps, &course);
+            self.draft.pass_by(self.passed, &course);
         }
         let share = match foresight.drafted {
             0 => FIRST,

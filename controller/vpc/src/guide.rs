@@ -175,13 +175,23 @@ impl Guide {
         let mut wanted = way::correction(at.task, &reference, at.points)?;
         let terms = wanted.iter_mut().zip(command.iter().zip(drift));
         terms.for_each(|(v, (command, drift))| *v += command + drift);
-        let passed = Motion::of_camera(command, steps * at.task.ts);
-        self.reference = (&reference.then(&passed)).into();
+        self.go_on(at.task, way, steps);
+        Some(wanted)
+    }
+
+    /// Goes on along a refined way by `steps` steps, one at most. Another guide stays.
+    pub(crate) fn go_on(&mut self, task: &Task, way: &Way, steps: f64) {
+        let command = way.left(self.ahead).first();
+        let is_along = self.kind == Kind::Refined && self.way == way.number;
+        let Some(command) = command.filter(|_| is_along) else {
+            return;
+        };
+        let passed = Motion::of_camera(command, steps * task.ts);
+        self.reference = (&Motion::from(&self.reference).then(&passed)).into();
         self.left -= steps;
         if self.left <= ROUNDING {
             (self.left, self.ahead) = (self.left + 1.0, self.ahead - 1);
         }
-        Some(wanted)
     }
 
     /// The posture of the present sub-goal, where it has one.

@@ -12,7 +12,7 @@ use crate::drift::{Drift, Elapsed, Evidence};
 use crate::features::{self, PlainPoints};
 use crate::follow::Follow;
 use crate::foresight::{FAR, Foresight, Thinker};
-use crate::guide::At;
+use crate::guide::{At, Guide, Kind};
 use crate::joint_path::{self, Planner};
 use crate::measurement::{Measurement, Refusal};
 use crate::motion::Own;
@@ -30,6 +30,39 @@ use crate::task::{Task, TaskError};
 use crate::work::Prices;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit};
 
+/// What a step proposed.
+#[derive(Clone, Copy)]
+struct Proposed {
+    twist: Twist,
+    /// The share of the twist that was sent.
+    share: f64,
+    /// What foresight followed before the step.
+    guide: Guide,
+    /// Steps by which the twist goes on along a refined way.
+    steps: f64,
+    /// l(v) / Np of the step.
+    spent: f64,
+}
+
+impl Proposed {
+    /// The share of the twist that `sent` has in its direction, each component by its limit: 0 to
+    /// 1.
+    fn share_of(&self, sent: &Twist, limits: &Twist) -> f64 {
+        if self.twist == *sent {
+            return 1.0;
+        }
+        let along = |to: &Twist| -> f64 {
+            let pairs = self.twist.iter().zip(to).zip(limits);
+            pairs.map(|((a, b), limit)| a * b / (limit * limit)).sum()
+        };
+        let whole = along(&self.twist);
+        match whole > 0.0 {
+            true => (along(sent) / whole).clamp(0.0, 1.0),
+            false => 0.0,
+        }
+    }
+}
+
 /// The visual predictive control law: task, settings, what one cycle leaves to the next (together
 /// some 50 KB), and the solver's workspace `W`, which the caller owns or lends: a `Vec<f64>`, or a
 /// `&mut [f64]` where there is no heap.
@@ -45,8 +78,8 @@ pub struct Law<W> {
     state: State,
     /// The initial state of this cycle's preview, until [`Law::think`] takes it.
     root: Option<InitialState>,
-    /// l(v) / Np of the last step.
-    spent: f64,
+    /// What the step of this cycle proposed, until [`Law::think`] takes it.
+    proposed: Option<Proposed>,
     /// Whether this cycle has thought before its command.
     has_thought: bool,
     /// Time from the last exposure to the command that answers it, s.
@@ -171,7 +204,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             state: const { State::new(Strategy::Foresight) },
             settings,
             root: None,
-            spent: 0.0,
+            proposed: None,
             has_thought: false,
             lead_s: 0.0,
             wanted: None,
@@ -201,6 +234,26 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
         self.state.history.push(twist, at_ns);
         self.state.standing = *twist;
+        self.stay_behind(twist);
+    }
+
+    /// Where another twist was sent than the law's, the camera comes no further on its way than
+    /// that brings it.
+    fn stay_behind(&mut self, sent: &Twist) {
+        let Some(proposed) = &mut self.proposed else {
+            return;
+        };
+        let share = proposed.share_of(sent, &self.task.limits);
+        proposed.share = share;
+        if share < 1.0 {
+            let mut guide = proposed.guide;
+            guide.go_on(&self.task, &self.state.way, share * proposed.steps);
+            let present = &mut self.state.foresight.guide;
+            // The patience with a sub-goal passes with every motion.
+            if share == 0.0 || guide.kind == Kind::Refined {
+                *present = guide;
+            }
+        }
     }
 
     /// Records that the last command left only at `at_ns`, because the decision took that long.
@@ -229,10 +282,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
 
     /// Runs foresight in the spare time of a cycle, after its command was sent.
     pub fn think(&mut self, memory: Option<&dyn MotionMemory>) {
+        let (passed, spent) = self.passed();
         if core::mem::take(&mut self.has_thought) {
             self.root = None;
             self.state.draft.discard();
-            return self.state.foresight.pass(&self.task, self.spent);
+            return self.state.foresight.pass(&self.task, passed, spent);
         }
         // What a cycle without features or another strategy leaves is no work of its own.
         let idle = &mut self.state.foresight;
@@ -247,6 +301,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         };
         let extra_px = self.back_off_px(&root);
         if self.seeks_path(&next) {
+            self.state.foresight.pass(&self.task, passed, spent);
             return self.seek_path(&next, extra_px);
         }
         let most_s = |_: &Crossing| {
@@ -279,7 +334,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             standing: &self.state.standing,
             previous: &self.state.previous,
             extra_px,
-            spent: self.spent,
+            passed,
+            spent,
             converged_px: self.converged_px,
             horizon: self.horizon,
             whole: self.share.steps,
@@ -311,7 +367,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let Some(mut planner) = planner else { return };
         let found = planner.search(self.workspace.as_mut());
         let foresight = &mut self.state.foresight;
-        foresight.pass(&self.task, self.spent);
         foresight.work = work - planner.left();
         // Foresight has the next cycle.
         foresight.lost -= 1;
@@ -353,7 +408,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     pub fn restore(&mut self, state: &State) {
         self.settings.strategy = state.strategy;
         self.state = *state;
-        (self.root, self.has_thought) = (None, false);
+        (self.root, self.proposed, self.has_thought) = (None, None, false);
     }
 
     /// Where the points of a live robot's camera are expected in an exposure at `exposed_ns`, px;
@@ -460,7 +515,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         measurement: &Measurement,
         memory: Option<&dyn MotionMemory>,
     ) -> Result<Step, Refusal> {
-        (self.root, self.has_thought) = (None, false);
+        (self.root, self.proposed, self.has_thought) = (None, None, false);
         let is_linked = self.state.is_linked;
         let (initial, mismatch) = self.receive(measurement).inspect_err(|_| {
             self.skip_mismatch();
@@ -473,7 +528,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// The command for a cycle without an image, that takes effect at `effective_ns`: the answer to
     /// the prediction. `None` if the commands since the last image are not known.
     pub fn coast(&mut self, effective_ns: u64, memory: Option<&dyn MotionMemory>) -> Option<Step> {
-        (self.root, self.has_thought) = (None, false);
+        (self.root, self.proposed, self.has_thought) = (None, None, false);
         let mut initial = self.state_at(effective_ns, self.state.drift.believed)?;
         initial.drift.rate = [0.0; DOF];
         initial.q = self.joints_at(effective_ns);
@@ -491,7 +546,6 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     fn think_first(&mut self, initial: &InitialState, memory: Option<&dyn MotionMemory>) {
         let is_foresight = self.settings.strategy == Strategy::Foresight;
         if is_foresight && self.state.foresight.drafted == 0 {
-            self.spent = 0.0;
             self.root = Some(initial.clone());
             self.think(memory);
             self.has_thought = true;
@@ -519,6 +573,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             _ => self.task.period,
         };
         let is_foresight = self.settings.strategy == Strategy::Foresight;
+        let steps = self.certainty() * self.task.period / self.task.ts;
+        let before = self.state.foresight.guide;
         let guide = Some(&self.state.foresight.guide).filter(|_| is_foresight);
         let towards = guide.and_then(|guide| guide.posture(&self.state.path));
         let dampers = self.task.dampers(initial.q.as_ref(), seconds, towards);
@@ -587,8 +643,22 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             policy.running_cost(&mut solver, &initial, &step.twist)
         });
         self.root = Some(initial.with_elbow(step.elbow));
-        self.spent = step.cost / self.settings.np as f64;
+        self.proposed = Some(Proposed {
+            twist: step.twist,
+            share: 1.0,
+            guide: before,
+            steps,
+            spent: step.cost / self.settings.np as f64,
+        });
         step
+    }
+
+    /// Steps by which the camera comes further on its way in this period, and l(v) / Np of these.
+    fn passed(&mut self) -> (f64, f64) {
+        let steps = self.task.period / self.task.ts;
+        (self.proposed.take()).map_or((steps, 0.0), |proposed| {
+            (proposed.share * steps, proposed.share * proposed.spent)
+        })
     }
 
     /// Whether the camera is to stand, because no way is known and nothing has improved. What
