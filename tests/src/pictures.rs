@@ -155,6 +155,7 @@ pub fn comparison<'a, 'r, R: Draw + 'r>(
             twists: drawn.twists.clone(),
             own: Vec::new(),
             limits: scene.limits,
+            periods: 0,
             title: format!("{name}: velocity command"),
         };
         (drawn.plane(scene, task, usize::MAX), velocity)

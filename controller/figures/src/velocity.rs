@@ -23,6 +23,8 @@ pub struct Velocity {
     pub own: Vec<[f64; 6]>,
     /// Limits of each component.
     pub limits: Limits,
+    /// Periods that the axis has room for; at least that of the commands.
+    pub periods: usize,
     /// Title.
     pub title: String,
 }
@@ -47,7 +49,7 @@ impl Velocity {
     }
 
     fn end(&self) -> f64 {
-        (self.period_s * self.twists.len() as f64).max(self.period_s)
+        self.period_s * self.twists.len().max(self.periods).max(1) as f64
     }
 
     fn x(&self, t: f64) -> f64 {

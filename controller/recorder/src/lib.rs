@@ -23,7 +23,7 @@ mod views;
 mod world;
 
 pub use ledger::{Account, Ledger, Notice};
-pub use plot::{PlotError, plot};
+pub use plot::{Films, PlotError, plot};
 pub use record::{Options, RecordError, record};
 pub use recorder::Recorder;
 pub use report::{Report, StageTimes};

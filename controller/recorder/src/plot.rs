@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use figures::{Comparison, FigureError, ImagePlane, Joints, Latency, Times, Velocity};
-use messages::{ArmBound, ClockMode, CycleRecord, MAX_POINTS, RobotState};
+use figures::{Animation, Comparison, FigureError, ImagePlane, Joints, Latency, Times, Velocity};
+use messages::{ArmBound, ClockMode, CycleRecord, MAX_POINTS, RobotState, TwistState};
 use scene::{FileError, Scene};
 
 use crate::report::Report;
@@ -16,6 +16,11 @@ const STANDING: usize = 3;
 const LONGEST: usize = 100_000;
 /// Most states of the robot in a figure, which tells a thousand a second: as fine as it is printed.
 const FINE: usize = 2000;
+/// Time from one frame of a film to the next, and for which the last one stands, s.
+const FRAME_S: [f64; 2] = [0.1, 2.0];
+/// Most frames of a film, and cycles in one of them: a longer run is shown faster, and coarser.
+const FRAMES: usize = 150;
+const CYCLES: usize = 1000;
 
 /// Why nothing was drawn.
 #[derive(Debug, thiserror::Error)]
@@ -39,8 +44,17 @@ pub enum PlotError {
     Empty,
 }
 
-/// Draws the runs of a recording and its latencies into a directory and returns the files. `scene`
-/// replaces the recording's own.
+/// Whether runs are also drawn as films, which takes longer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Films {
+    /// They are.
+    Wanted,
+    /// They are not.
+    Unwanted,
+}
+
+/// Draws the runs of a recording, also as films if these are `wanted`, and its latencies into a
+/// directory and returns the files. `scene` replaces the recording's own.
 ///
 /// # Errors
 /// [`PlotError`].
@@ -48,6 +62,7 @@ pub fn plot(
     recording: &Recording,
     scene: Option<&Scene>,
     directory: &Path,
+    films: Films,
 ) -> Result<Vec<PathBuf>, PlotError> {
     let own = match scene {
         Some(_) => None,
@@ -66,6 +81,9 @@ pub fn plot(
         };
         let canvas = figure(scene, run, &name).canvas();
         files.extend(canvas.write(&directory.join(&name))?);
+        if films == Films::Wanted {
+            files.push(film(scene, run).write(&directory.join(&name))?);
+        }
         if let Some(joints) = joints(scene, run, &recording.robot, &name) {
             let name = format!("{name}-joints");
             files.extend(joints.canvas().write(&directory.join(name))?);
@@ -165,10 +183,47 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
         },
         twists: twists.sent,
         limits: scene.limits,
+        periods: 0,
         title: "velocity command".to_owned(),
     };
     Comparison {
         columns: vec![(plane, velocity)],
+    }
+}
+
+/// A run as it goes on: what the camera has seen, what is foreseen from there, the commands, and
+/// what the controller does.
+fn film(scene: &Scene, run: &[&CycleRecord]) -> Animation {
+    let period_s = scene.sampling_time();
+    let periods = twists(run, period_s).sent.len();
+    let every = ((FRAME_S[0] / period_s).round() as usize).max(run.len().div_ceil(FRAMES));
+    let frame = |last: usize| {
+        let run = run.get(..=last).unwrap_or(run);
+        let mut figure = figure(scene, run, "");
+        for (plane, velocity) in &mut figure.columns {
+            velocity.periods = periods;
+            let Some(cycle) = run.last() else { continue };
+            plane.path = (plane.path.iter())
+                .step_by(run.len().div_ceil(CYCLES))
+                .cloned()
+                .collect();
+            plane.foreseen = cycle.foreseen().map(Iterator::collect).collect();
+            let state = TwistState::from_code(cycle.state);
+            let state = state.map_or_else(String::new, |state| format!(": {state}"));
+            let hold = cycle
+                .hold()
+                .map_or_else(String::new, |hold| format!(", {hold}"));
+            let time_s = velocity.twists.len() as f64 * period_s;
+            plane.title = format!("{time_s:.1} s{state}{hold}");
+        }
+        figure.canvas()
+    };
+    let last = run.len().saturating_sub(1);
+    let frames = (0..last).step_by(every.max(1)).chain([last]).map(frame);
+    Animation {
+        frames: frames.collect(),
+        period_s: FRAME_S[0],
+        last_s: FRAME_S[1],
     }
 }
 
@@ -300,6 +355,9 @@ fn words(us: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use figures::Canvas;
+    use messages::Hold;
+
     use super::*;
 
     fn cycle(number: u64, features_sequence: u64) -> CycleRecord {
@@ -331,6 +389,33 @@ mod tests {
         let runs = runs(&numbers);
         let counts: Vec<_> = runs.iter().map(Vec::len).collect();
         assert_eq!(counts, [3, 2]);
+    }
+
+    #[test]
+    fn a_film_shows_a_stop_on_one_axis_of_time() {
+        let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+        let cycles = (1..=30).map(|number| {
+            let mut record = cycle(number, number);
+            let (state, hold) = match number < 20 {
+                true => (TwistState::Moving, None),
+                false => (TwistState::Disarmed, Some(Hold::Operator)),
+            };
+            (record.state, record.hold) = (state.code(), Hold::number(hold));
+            record.twist = [0.01 * number as f64, 0.0, 0.0, 0.0, 0.0, 0.0];
+            record
+        });
+        let cycles: Vec<_> = cycles.collect();
+        let run: Vec<_> = cycles.iter().collect();
+        let film = film(&scene, &run);
+        // One every 0.1 s, and the last.
+        let frames: Vec<_> = film.frames.iter().map(Canvas::svg).collect();
+        assert_eq!(frames.len(), 11);
+        let tells = |frame: &str, words: &str| frame.contains(words);
+        assert!(tells(&frames[5], ">0.5 s: moving<"), "{}", frames[5]);
+        assert!(tells(&frames[10], ">1.0 s: disarmed, operator<"));
+        // Each has the whole time below.
+        let times = |frame: &String| frame.matches(">0.8<").count();
+        assert!(frames.iter().all(|frame| times(frame) == 1));
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use recorder::Report;
+use recorder::{Films, Report};
 use recording::Recording;
 use scene::Scene;
 
@@ -20,6 +20,10 @@ pub struct PlotArguments {
     /// output.
     #[arg(long, short, value_name = "DIR")]
     pub output: Option<PathBuf>,
+
+    /// Also draw each run as a film (GIF): ten frames a second, a long run faster.
+    #[arg(long, requires = "output")]
+    pub film: bool,
 
     /// Scene file, instead of the one in the recording.
     #[arg(long, value_name = "FILE")]
@@ -49,7 +53,11 @@ pub fn run(arguments: &PlotArguments) -> Result<String, Failure> {
         false => report.to_string(),
     };
     if let Some(directory) = &arguments.output {
-        let files = recorder::plot(&recording, scene.as_ref(), directory)?;
+        let films = match arguments.film {
+            true => Films::Wanted,
+            false => Films::Unwanted,
+        };
+        let files = recorder::plot(&recording, scene.as_ref(), directory, films)?;
         if !arguments.json {
             text.push('\n');
             for file in files {

@@ -316,6 +316,7 @@ impl<'a> Demo<'a> {
             twists: steered.map(|record| record.twist).collect(),
             own: Vec::new(),
             limits: self.scene.limits,
+            periods: 0,
             title: "twist executed by hw-sim".to_owned(),
         };
         let columns = vec![(plane, velocity)];

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use messages::{CycleRecord, Order};
-use recorder::Recorder;
+use recorder::{Films, Recorder};
 use recording::Recording;
 use scene::SceneFiles;
 use testkit::Place;
@@ -55,7 +55,7 @@ fn a_masked_scene_is_whole_in_the_recording() {
     assert_eq!(scene.fingerprint(), files.scene.fingerprint());
     assert!(scene.masks().next().unwrap().is_forbidden(140, 700));
     let plots = Path::new(env!("CARGO_TARGET_TMPDIR")).join("masked");
-    let drawn = recorder::plot(&recording, None, &plots).unwrap();
+    let drawn = recorder::plot(&recording, None, &plots, Films::Unwanted).unwrap();
     let svg = std::fs::read_to_string(plots.join("run.svg")).unwrap();
     assert!(drawn.contains(&plots.join("run.png")), "{drawn:?}");
     assert!(svg.contains("crispEdges"), "the mask is not in run.svg");

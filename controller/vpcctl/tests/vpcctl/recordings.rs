@@ -157,11 +157,13 @@ fn a_recording_is_drawn_and_reported() {
     let flight = flight();
     let plots = Path::new(env!("CARGO_TARGET_TMPDIR")).join("plots");
     let _ = std::fs::remove_dir_all(&plots);
-    let drawn = run(&["plot", &flight.words(), "-o", plots.to_str().unwrap()]);
+    let output = plots.to_str().unwrap();
+    let drawn = run(&["plot", &flight.words(), "-o", output, "--film"]);
     assert_eq!(drawn.status.code(), Some(0), "{}", stderr(&drawn));
     let names = [
         "run.svg",
         "run.png",
+        "run.gif",
         "latency.svg",
         "latency.png",
         "latency.txt",
