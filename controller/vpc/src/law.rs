@@ -27,17 +27,21 @@ use crate::solver::{Size, Solver};
 use crate::state::State;
 use crate::strategy::Strategy;
 use crate::task::{Task, TaskError};
+use crate::way::Way;
 use crate::work::Prices;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit};
 
 /// What a step proposed.
 #[derive(Clone, Copy)]
 struct Proposed {
-    twist: Twist,
+    /// The twist against the pattern, which moves at `drift`.
+    relative: Twist,
+    drift: Twist,
     /// The share of the twist that was sent.
     share: f64,
-    /// What foresight followed before the step.
-    guide: Guide,
+    /// What foresight followed before the step, and follows after it.
+    before: Guide,
+    after: Guide,
     /// Steps by which the twist goes on along a refined way.
     steps: f64,
     /// l(v) / Np of the step.
@@ -48,18 +52,31 @@ impl Proposed {
     /// The share of the twist that `sent` has in its direction, each component by its limit: 0 to
     /// 1.
     fn share_of(&self, sent: &Twist, limits: &Twist) -> f64 {
-        if self.twist == *sent {
+        let sent = minus(sent, &self.drift);
+        if self.relative == sent {
             return 1.0;
         }
         let along = |to: &Twist| -> f64 {
-            let pairs = self.twist.iter().zip(to).zip(limits);
+            let pairs = self.relative.iter().zip(to).zip(limits);
             pairs.map(|((a, b), limit)| a * b / (limit * limit)).sum()
         };
-        let whole = along(&self.twist);
+        let whole = along(&self.relative);
         match whole > 0.0 {
-            true => (along(sent) / whole).clamp(0.0, 1.0),
+            true => (along(&sent) / whole).clamp(0.0, 1.0),
             false => 0.0,
         }
+    }
+
+    /// What foresight follows, where that share was sent: a sub-goal passes as soon as the camera
+    /// moves, a refined way by the share.
+    fn guide(&self, task: &Task, way: &Way) -> Guide {
+        let is_part = self.share < 1.0 && self.before.kind == Kind::Refined;
+        let mut guide = match is_part || self.share == 0.0 {
+            true => self.before,
+            false => return self.after,
+        };
+        guide.go_on(task, way, self.share * self.steps);
+        guide
     }
 }
 
@@ -230,7 +247,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 
     /// Records that `twist` was really sent at `at_ns`, also a zero, repeated or braking one that
-    /// the law did not choose.
+    /// the law did not choose; before [`Law::think`].
     pub fn sent(&mut self, twist: &Twist, at_ns: u64) {
         self.state.history.push(twist, at_ns);
         self.state.standing = *twist;
@@ -243,17 +260,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let Some(proposed) = &mut self.proposed else {
             return;
         };
-        let share = proposed.share_of(sent, &self.task.limits);
-        proposed.share = share;
-        if share < 1.0 {
-            let mut guide = proposed.guide;
-            guide.go_on(&self.task, &self.state.way, share * proposed.steps);
-            let present = &mut self.state.foresight.guide;
-            // The patience with a sub-goal passes with every motion.
-            if share == 0.0 || guide.kind == Kind::Refined {
-                *present = guide;
-            }
-        }
+        proposed.share = proposed.share_of(sent, &self.task.limits);
+        self.state.foresight.guide = proposed.guide(&self.task, &self.state.way);
     }
 
     /// Records that the last command left only at `at_ns`, because the decision took that long.
@@ -573,7 +581,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             _ => self.task.period,
         };
         let is_foresight = self.settings.strategy == Strategy::Foresight;
-        let steps = self.certainty() * self.task.period / self.task.ts;
+        let mut steps = 0.0;
         let before = self.state.foresight.guide;
         let guide = Some(&self.state.foresight.guide).filter(|_| is_foresight);
         let towards = guide.and_then(|guide| guide.posture(&self.state.path));
@@ -598,14 +606,17 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                     q: initial.q.as_ref(),
                     path: &self.state.path,
                 };
-                let steps = self.task.period / self.task.ts;
+                let whole = self.task.period / self.task.ts;
                 let drift = &initial.drift.twist;
                 // Along a way, time passes as slowly as the camera goes.
-                let wanted = guide.follow(&at, &self.state.way, drift, certainty * steps);
+                let wanted = guide.follow(&at, &self.state.way, drift, certainty * whole);
                 let tracked = match wanted {
                     Some(_) => None,
-                    None => guide.advance(&at, self.converged_px, steps),
+                    None => guide.advance(&at, self.converged_px, whole),
                 };
+                if wanted.is_some() {
+                    steps = certainty * whole;
+                }
                 if tracked.is_some() && guide.kind.is_remembered() {
                     step.asked = Asked::Followed;
                 }
@@ -642,21 +653,25 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         step.cost = solver.map_or(0.0, |mut solver| {
             policy.running_cost(&mut solver, &initial, &step.twist)
         });
+        let drift = initial.drift.twist;
         self.root = Some(initial.with_elbow(step.elbow));
         self.proposed = Some(Proposed {
-            twist: step.twist,
+            relative: minus(&step.twist, &drift),
+            drift,
             share: 1.0,
-            guide: before,
+            before,
+            after: self.state.foresight.guide,
             steps,
             spent: step.cost / self.settings.np as f64,
         });
         step
     }
 
-    /// Steps by which the camera comes further on its way in this period, and l(v) / Np of these.
+    /// Steps by which the camera comes further on its way in this period, and l(v) / Np of these;
+    /// none before a command.
     fn passed(&mut self) -> (f64, f64) {
         let steps = self.task.period / self.task.ts;
-        (self.proposed.take()).map_or((steps, 0.0), |proposed| {
+        (self.proposed.take()).map_or((0.0, 0.0), |proposed| {
             (proposed.share * steps, proposed.share * proposed.spent)
         })
     }
@@ -1244,6 +1259,13 @@ fn sum(a: &Twist, b: &Twist) -> Twist {
     let mut sum = *a;
     sum.iter_mut().zip(b).for_each(|(sum, b)| *sum += b);
     sum
+}
+
+/// a - b.
+fn minus(a: &Twist, b: &Twist) -> Twist {
+    let mut rest = *a;
+    rest.iter_mut().zip(b).for_each(|(rest, b)| *rest -= b);
+    rest
 }
 
 /// The measured features with a share `kept` of what the expected ones differ.

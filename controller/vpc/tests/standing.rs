@@ -8,6 +8,7 @@ use scene::{Pose, Scene};
 use serde_json::Value;
 use vpc::foresight::Outcome;
 use vpc::motion::Motion;
+use vpc::way::COMMANDS;
 use vpc::{DOF, Law, Measurement, Settings, Strategy, camera, task};
 
 /// The first fixed start whose best way was not known when the settings were chosen.
@@ -17,6 +18,8 @@ const FIRST: usize = 55;
 struct Run {
     /// Beyond the best known way, %.
     beyond: f64,
+    /// Whether a way was known when it was armed.
+    was_promised: bool,
     cycles: u32,
 }
 
@@ -42,9 +45,10 @@ fn run(scene: &Scene, start: &Pose, known: f64, standing: u64) -> Run {
             // As the gate does where another command was sent.
             law.skip_mismatch();
             law.think(None);
-            if let Outcome::Arrives { cost, .. } = law.foreseen().outcome {
-                promised = cost / periods;
-            }
+            promised = match law.foreseen().outcome {
+                Outcome::Arrives { cost, .. } => cost / periods,
+                _ => f64::INFINITY,
+            };
             continue;
         }
         if step.error_px < scene.success.convergence_px {
@@ -52,6 +56,7 @@ fn run(scene: &Scene, start: &Pose, known: f64, standing: u64) -> Run {
             assert!(cost < 1.1 * promised, "{cost}, promised {promised}");
             return Run {
                 beyond: 100.0 * (cost / known - 1.0),
+                was_promised: promised.is_finite(),
                 cycles: (k - standing) as u32,
             };
         }
@@ -62,6 +67,55 @@ fn run(scene: &Scene, start: &Pose, known: f64, standing: u64) -> Run {
         points.iter_mut().for_each(|x| *x = motion.apply(x));
     }
     panic!("not arrived after {standing} standing cycles: {start:?}");
+}
+
+#[test]
+fn by_half_of_a_command_the_camera_comes_half_a_step_further() {
+    let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    let points: Vec<Vector3<f64>> = task::placed(&scene.pattern, &starts[0]).collect();
+    let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into()).unwrap();
+    let pixels: Vec<_> = points.iter().map(see).collect();
+    let settings = Settings {
+        strategy: Strategy::Foresight,
+        ..Settings::default()
+    };
+    let np = settings.np as f64;
+    let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+    // What is left of the present command, and of the promised cost, after a cycle in which these
+    // shares of the command were sent, one after the other.
+    let mut left = |shares: &[f64]| {
+        law.reset();
+        let measured = Measurement::from_points(&pixels).taken(0, 0);
+        let step = law.step(&measured, None).unwrap();
+        let before = law.foreseen().outcome;
+        for share in shares {
+            law.sent(&step.twist.map(|v| share * v), 0);
+        }
+        law.think(None);
+        let (guide, after) = (law.foreseen().guide, law.foreseen().outcome);
+        let (Outcome::Arrives { cost: before, .. }, Outcome::Arrives { cost: after, .. }) =
+            (before, after)
+        else {
+            panic!("{before:?}, {after:?}");
+        };
+        (
+            guide.left + f64::from(guide.ahead),
+            (before - after) / (step.cost / np),
+        )
+    };
+    let (none, spent) = left(&[0.0]);
+    assert_eq!((none, spent), (1.0 + COMMANDS as f64, 0.0));
+    for (shares, passed) in [
+        (&[0.5][..], 0.5),
+        (&[1.0], 1.0),
+        (&[0.0, 1.0], 1.0),
+        (&[1.0, 0.0], 0.0),
+    ] {
+        let (rest, spent) = left(shares);
+        assert!((none - rest - passed).abs() < 1e-9, "{shares:?}: {rest}");
+        assert!((spent - passed).abs() < 1e-9, "{shares:?}: {spent}");
+    }
 }
 
 #[test]
@@ -100,6 +154,8 @@ fn a_second_before_it_is_armed_shows_most_of_the_best_ways() {
             at(0.9),
             at(1.0)
         );
+        let promised = runs.iter().filter(|run| run.was_promised).count();
+        assert_eq!(promised > 40, standing > 0, "{promised} promised");
         assert!(at(0.5) < 2.0 && at(0.9) < nine_of_ten);
     }
 }
