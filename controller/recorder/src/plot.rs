@@ -18,7 +18,8 @@ const LONGEST: usize = 100_000;
 const FINE: usize = 2000;
 /// Time from one frame of a film to the next, and for which the last one stands, s.
 const FRAME_S: [f64; 2] = [0.1, 2.0];
-/// Most frames of a film, and cycles in one of them: a longer run is shown faster, and coarser.
+/// Most frames of a film, and cycles drawn in one of them: a longer run is shown faster, and
+/// coarser.
 const FRAMES: usize = 150;
 const CYCLES: usize = 1000;
 
@@ -191,38 +192,41 @@ fn figure<'a>(scene: &'a Scene, run: &[&CycleRecord], name: &str) -> Comparison<
     }
 }
 
-/// A run as it goes on: what the camera has seen, what is foreseen from there, the commands, and
-/// what the controller does.
+/// A run as it goes on, cycle by cycle with features: what the camera has seen, what is foreseen
+/// from there, the commands, and what the controller does.
 fn film(scene: &Scene, run: &[&CycleRecord]) -> Animation {
     let period_s = scene.sampling_time();
     let periods = twists(run, period_s).sent.len();
     let every = ((FRAME_S[0] / period_s).round() as usize).max(run.len().div_ceil(FRAMES));
+    // Of a long run, what a drawing can show.
+    let apart = periods.div_ceil(CYCLES).max(1);
     let frame = |last: usize| {
         let run = run.get(..=last).unwrap_or(run);
         let mut figure = figure(scene, run, "");
         for (plane, velocity) in &mut figure.columns {
-            velocity.periods = periods;
+            let time_s = velocity.twists.len() as f64 * period_s;
+            for twists in [&mut velocity.twists, &mut velocity.own] {
+                *twists = twists.iter().step_by(apart).copied().collect();
+            }
+            (velocity.period_s, velocity.periods) = (apart as f64 * period_s, periods / apart);
+            plane.path = plane.path.iter().step_by(apart).cloned().collect();
+            plane.ellipses = plane.ellipses.iter().step_by(apart).cloned().collect();
             let Some(cycle) = run.last() else { continue };
-            plane.path = (plane.path.iter())
-                .step_by(run.len().div_ceil(CYCLES))
-                .cloned()
-                .collect();
             plane.foreseen = cycle.foreseen().map(Iterator::collect).collect();
             let state = TwistState::from_code(cycle.state);
             let state = state.map_or_else(String::new, |state| format!(": {state}"));
             let hold = cycle
                 .hold()
                 .map_or_else(String::new, |hold| format!(", {hold}"));
-            let time_s = velocity.twists.len() as f64 * period_s;
             plane.title = format!("{time_s:.1} s{state}{hold}");
         }
         figure.canvas()
     };
     let last = run.len().saturating_sub(1);
-    let frames = (0..last).step_by(every.max(1)).chain([last]).map(frame);
+    let frames = (0..last).step_by(every).chain([last]).map(frame);
     Animation {
         frames: frames.collect(),
-        period_s: FRAME_S[0],
+        period_s: FRAME_S[0].max(period_s),
         last_s: FRAME_S[1],
     }
 }

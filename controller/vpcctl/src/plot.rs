@@ -21,7 +21,8 @@ pub struct PlotArguments {
     #[arg(long, short, value_name = "DIR")]
     pub output: Option<PathBuf>,
 
-    /// Also draw each run as a film (GIF): ten frames a second, a long run faster.
+    /// Also draw each run as a film (GIF) of its cycles with features: at most ten frames a second,
+    /// and 150 in all, so a run of more than 15 s is shown faster.
     #[arg(long, requires = "output")]
     pub film: bool,
 

@@ -51,8 +51,9 @@ enum Pace {
 }
 
 impl Pace {
-    /// Runs at a time. The emulators have real-time priority, and `vpcd` has not: beside two that
-    /// are at work its thinking overruns.
+    /// Runs at a time. The emulators have real-time priority, and `vpcd` has not: while two of
+    /// franky-sim are at work, at half a processor each, its thinking overruns. The one of the
+    /// paper's pace takes a third.
     fn jobs(self) -> usize {
         match self {
             Self::Paper => 2,
