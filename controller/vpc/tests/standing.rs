@@ -11,7 +11,7 @@ use vpc::motion::Motion;
 use vpc::way::COMMANDS;
 use vpc::{DOF, Law, Measurement, Settings, Strategy, camera, task};
 
-/// The first fixed start whose best way was not known when the settings were chosen.
+/// From this fixed start on, the settings were chosen without knowledge of the best ways.
 const FIRST: usize = 55;
 
 /// What a run cost.
@@ -21,6 +21,12 @@ struct Run {
     /// Whether a way was known when it was armed.
     was_promised: bool,
     cycles: u32,
+}
+
+/// The image of the points, px.
+fn seen(scene: &Scene, points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
+    let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into()).unwrap();
+    points.iter().map(see).collect()
 }
 
 /// Runs the law from a start after `standing` cycles in which zero is sent.
@@ -35,8 +41,7 @@ fn run(scene: &Scene, start: &Pose, known: f64, standing: u64) -> Run {
     let period = scene.sampling_time();
     let (mut cost, mut promised) = (0.0, f64::INFINITY);
     for k in 0..standing + periods as u64 {
-        let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into()).unwrap();
-        let pixels: Vec<_> = points.iter().map(see).collect();
+        let pixels = seen(scene, &points);
         let now_ns = (k as f64 * period * 1e9).round() as u64;
         let measured = Measurement::from_points(&pixels).taken(now_ns, now_ns);
         let step = law.step(&measured, None).unwrap();
@@ -74,8 +79,7 @@ fn by_half_of_a_command_the_camera_comes_half_a_step_further() {
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
     let points: Vec<Vector3<f64>> = task::placed(&scene.pattern, &starts[0]).collect();
-    let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into()).unwrap();
-    let pixels: Vec<_> = points.iter().map(see).collect();
+    let pixels = seen(&scene, &points);
     let settings = Settings {
         strategy: Strategy::Foresight,
         ..Settings::default()
