@@ -25,6 +25,8 @@ const FRAME: Duration = Duration::from_nanos(33_333_333);
 const LEG: Duration = Duration::from_secs(2);
 /// After so long the arm moves as commanded: the ramps take less than 0.2 s.
 const SETTLED: Duration = Duration::from_millis(800);
+/// Fewer steady instants of a leg are not judged.
+const LEAST: usize = 10;
 /// How long a command is valid, ns.
 const VALID_NS: u64 = 100_000_000;
 /// Time without commands, now and then: longer than one is valid.
@@ -46,12 +48,15 @@ struct Seen {
     states: u32,
     /// Instants at which the arm had to move as commanded.
     steady: u32,
-    /// Greatest distance there between the command and what `vpc/robot` told, and what the measured
-    /// joints did, as a share of the caps.
+    /// Greatest distance there between the command and what `vpc/robot` told, as a share of the
+    /// caps.
     told_apart: f64,
+    /// Distance of the measured joints' twist: the median of the worst leg. A stall of the machine
+    /// of some milliseconds leaves this emulator's arm behind, and it catches up at once, at up to
+    /// one and a half times the command.
     moved_apart: f64,
-    /// The joints where the latter was, rad.
-    there: [f64; 7],
+    /// Legs of [`LEAST`] such instants.
+    legs: u32,
     /// Greatest way of a joint from where it began, rad.
     way: f64,
     /// Share of commands that came in time, over the last hundred: the worst.
@@ -137,9 +142,11 @@ impl Bench {
         let begin = Instant::now();
         let (mut command, mut since, mut undisturbed) = (Twist::zeros(), begin, begin);
         let (mut frame, mut legs) = (0, 0);
+        let mut moved = Vec::new();
         let (mut due, mut silent_until) = (begin, begin);
         while begin.elapsed() < length {
             if since.elapsed() > LEG {
+                seen.end(&mut moved);
                 // There and back, so that the arm stays where it can move.
                 legs += 1;
                 command = if legs % 2 == 0 { -command } else { leg(random) };
@@ -179,9 +186,10 @@ impl Bench {
                 undisturbed = Instant::now();
             }
             if since.max(undisturbed).elapsed() > SETTLED {
-                seen.judge(&state, &command, &self.mount);
+                moved.push(seen.judge(&state, &command, &self.mount));
             }
         }
+        seen.end(&mut moved);
         Ok(seen)
     }
 
@@ -222,7 +230,8 @@ impl Seen {
         is_stale || is_limited
     }
 
-    fn judge(&mut self, state: &RobotState, command: &Twist, mount: &Mount) {
+    /// How far the measured joints move from the command.
+    fn judge(&mut self, state: &RobotState, command: &Twist, mount: &Mount) -> f64 {
         let apart = |twist: Twist| {
             let [linear, angular] = CAPS;
             let apart = twist - command;
@@ -231,10 +240,17 @@ impl Seen {
         };
         self.steady += 1;
         self.told_apart = self.told_apart.max(apart(Twist::from(state.twist)));
-        let moved = apart(camera(mount, &state.q, &state.dq));
-        if moved > self.moved_apart {
-            (self.moved_apart, self.there) = (moved, state.q);
+        apart(camera(mount, &state.q, &state.dq))
+    }
+
+    /// A leg ended.
+    fn end(&mut self, moved: &mut Vec<f64>) {
+        moved.sort_by(f64::total_cmp);
+        if moved.len() >= LEAST {
+            self.moved_apart = self.moved_apart.max(moved[moved.len() / 2]);
+            self.legs += 1;
         }
+        moved.clear();
     }
 }
 
@@ -267,7 +283,10 @@ fn another_teams_fr3_follows_joint_velocities_without_a_reflex() {
     let Some(seen) = judged("franka-sim, joint velocities", "joint") else {
         return;
     };
-    assert!(seen.way > 0.05 && seen.steady > 30, "{seen:?}");
+    assert!(
+        seen.way > 0.05 && seen.steady > 30 && seen.legs > 2,
+        "{seen:?}"
+    );
     assert!(seen.stale > 0 && seen.limited > 0, "{seen:?}");
     assert!(seen.told_apart < 0.02 && seen.moved_apart < 0.1, "{seen:?}");
 }
@@ -278,7 +297,10 @@ fn another_teams_fr3_follows_without_a_reflex() {
     let Some(seen) = judged("franka-sim, Cartesian velocities", "cartesian") else {
         return;
     };
-    assert!(seen.way > 0.05 && seen.steady > 30, "{seen:?}");
+    assert!(
+        seen.way > 0.05 && seen.steady > 30 && seen.legs > 2,
+        "{seen:?}"
+    );
     assert!(seen.stale > 0 && seen.limited > 0, "{seen:?}");
     // It tells no desired joints in Cartesian motions.
     assert!(seen.moved_apart < 0.1, "{seen:?}");
