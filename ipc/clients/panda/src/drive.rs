@@ -347,7 +347,9 @@ impl Bridge<'_> {
             Ok(None) => (),
             Ok(Some(newest)) => {
                 self.command = newest.message;
-                if self.command.in_force_until_ns() == 0 {
+                let is_zero = self.command.twist == [0.0; 6];
+                // A daemon's last zero is valid for ever, too.
+                if self.command.in_force_until_ns() == 0 && !is_zero {
                     (self.tell)(Event::NotObeyed("it is of a controller in lockstep"));
                 }
             }
