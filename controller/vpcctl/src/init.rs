@@ -42,8 +42,7 @@ const SCENES: [&str; 2] = [
 ];
 /// Where `vpcd.toml` names its scene, and what stands behind that in the folder.
 const SCENE_LINE: &str = "scene = \"scene.toml\"\n";
-const MEMORY_LINE: &str =
-    "memory = \"task.vpcmem\"   # vpc-memory build scene.toml -o task.vpcmem\n";
+const MEMORY_LINE: &str = "# memory = \"task.vpcmem\" # foresight does without; vpc-memory build scene.toml -o task.vpcmem\n";
 /// The emulated robot, for a rehearsal without one. Its other keys have defaults.
 const EMULATOR: &str = "\
 # Configuration of hw-sim: an emulated robot at the address 127.0.0.1, whose camera sends the points of the scene.
@@ -179,7 +178,7 @@ mod tests {
             assert!(text(name).contains("scene = \"scene.toml\""), "{name}");
         }
         assert!(text("vpc-camera.toml").contains("# calibration = \"camera.toml\""));
-        assert!(text("vpcd.toml").contains("memory = \"task.vpcmem\""));
+        assert!(text("vpcd.toml").contains("# memory = \"task.vpcmem\""));
         assert!(text("vpc-panda.toml").contains("robot = \"fr3:10.0.0.2\""));
         assert_eq!(robot(ROBOT).as_deref(), Ok(ROBOT));
         assert!(robot("ur5:10.0.0.2").is_err() && robot("panda:").is_err());

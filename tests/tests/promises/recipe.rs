@@ -1,6 +1,6 @@
 //! The recipe of `ipc/clients/panda/README.md` for a real robot, in the folder that `vpcctl init`
-//! writes, without a robot: one line starts emulator, bridge and `vpcd`, and the arm moves once it
-//! is armed.
+//! writes, without a robot: its lines start emulator, bridge and `vpcd`, the arm moves once it is
+//! armed, and where it stands can be taught as the goal.
 
 use std::os::unix::process::CommandExt;
 use std::path::Path;
@@ -8,18 +8,9 @@ use std::process::{Child, Stdio};
 
 use ipc::{Domain, Observer};
 use rustix::process::{Pid, Signal, kill_process_group};
+use scene::Scene;
 
 use crate::fixture::{Ended, Place, ended, eventually, program, root, turn};
-
-/// A memory in seconds.
-const SMALL: &[&str] = &[
-    "--trajectories",
-    "6",
-    "--iterations",
-    "20",
-    "--gpr-samples",
-    "40",
-];
 
 /// A line of a shell, with everything that it starts; ended as a whole.
 struct Line(Child);
@@ -59,6 +50,12 @@ fn run(name: &str, words: &[&str], folder: &Path) -> Ended {
     )
 }
 
+/// Where the goal of the folder's scene is.
+fn goal(folder: &Path) -> [f64; 3] {
+    let text = std::fs::read_to_string(folder.join("scene.toml")).unwrap();
+    Scene::parse(&text, "scene.toml").unwrap().goal.translation
+}
+
 #[test]
 fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
     let _turn = turn();
@@ -72,26 +69,29 @@ fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
     let domain = domain.to_str().unwrap();
     let made = run("vpcctl", &["init", "panda", cell], place.directory());
     assert_eq!(made.code, Some(0), "{made:?}");
-    // Before step 3 of the recipe, the message names file, key and value.
-    let early = run("vpcd", &["--config", "vpcd.toml", "--check-only"], &folder);
+    // The message names file, key and value.
+    let daemon = folder.join("vpcd.toml");
+    let text = std::fs::read_to_string(&daemon).unwrap();
+    let with_memory = text.replace("# memory", "memory");
+    std::fs::write(folder.join("with.toml"), with_memory).unwrap();
+    let early = run("vpcd", &["--config", "with.toml", "--check-only"], &folder);
     assert_eq!(early.code, Some(66), "{early:?}");
-    let words = "vpcd.toml: memory = task.vpcmem: cannot read: No such file";
+    let words = "with.toml: memory = task.vpcmem: cannot read: No such file";
     assert!(early.stderr.contains(words), "{early:?}");
-    let build = [&["build", "scene.toml", "-o", "task.vpcmem"], SMALL].concat();
-    let built = run("vpc-memory", &build, &folder);
-    assert_eq!(built.code, Some(0), "{built:?}");
 
-    // Three programs, in two lines.
+    // Three programs, in three lines.
     let readme = std::fs::read_to_string(root().join("ipc/clients/panda/README.md")).unwrap();
-    let is_first = |line: &&str| !line.starts_with("hw-sim --config hw-sim.toml --domain $D");
-    let lines: Vec<_> = readme.lines().skip_while(is_first).take(2).collect();
+    let is_first = |line: &&str| !line.starts_with("D=/tmp/rehearsal");
+    let lines: Vec<_> = readme.lines().skip_while(is_first).take(3).collect();
     let line = lines.join("\n");
     // An address of its own: others may rehearse on this machine.
     let own = format!("127.{}.1.1", 10 + std::process::id() % 200);
     let emulator = folder.join("hw-sim.toml");
     let text = std::fs::read_to_string(&emulator).unwrap();
     std::fs::write(emulator, text.replace("127.0.0.1", &own)).unwrap();
-    let line = line.replace("127.0.0.1", &own).replace("$D", domain);
+    let line = line
+        .replace("127.0.0.1", &own)
+        .replace("/tmp/rehearsal", domain);
     let mut observer = Observer::open(&Domain::join(&place.domain()).unwrap()).unwrap();
     let running = Line::start(&line, &folder);
     let ask = |words: &[&str]| {
@@ -112,5 +112,19 @@ fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
         said.starts_with("flight: done; ") && file.is_file(),
         "{said}"
     );
+
+    // On its way: the present view becomes the goal, and the arm is there.
+    let old = goal(&folder);
+    eventually("a goal that is taught", || {
+        ask(&["disarm"]);
+        let said = ask(&["teach", "--replace"]);
+        // It brakes for a while.
+        (said.code == Some(0)).then_some(said)
+    });
+    assert_ne!(goal(&folder), old);
+    eventually("arrival", || {
+        ask(&["arm"]);
+        ask(&["status"]).stdout.contains("arrived").then_some(())
+    });
     drop(running);
 }
