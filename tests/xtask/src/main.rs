@@ -1,4 +1,5 @@
-//! Commands for developers. `cargo xtask release` makes a release, `cargo xtask book` the book.
+//! Commands for developers. `cargo xtask release` makes a release, `cargo xtask book` the book, and
+//! `cargo xtask gallery` its pictures.
 //!
 //! `cargo xtask codegen` writes every file that is made from the code,
 //! `cargo xtask codegen --check` fails if one of them is stale. Each kind of file has a module
@@ -9,6 +10,7 @@ mod c_header;
 mod configuration;
 mod contract;
 mod doc;
+mod gallery;
 mod python;
 mod release;
 mod units;
@@ -124,6 +126,11 @@ enum Command {
         #[arg(long)]
         api: bool,
     },
+    /// Make the pictures of the pages again; in minutes
+    Gallery {
+        /// Their names, as stop.gif [default: all]
+        names: Vec<String>,
+    },
     /// Make a release: source, Debian package, wheel, notes and checksums
     Release {
         /// A directory that is empty or not there
@@ -163,6 +170,7 @@ fn main() -> anyhow::Result<()> {
     match Command::parse() {
         Command::Codegen { check } => codegen(check),
         Command::Book { directory, api } => book::book(&directory, api),
+        Command::Gallery { names } => gallery::gallery(&names),
         Command::Release { directory } => release::release(&directory),
     }
 }
