@@ -7,7 +7,7 @@
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -33,6 +33,14 @@ const STILL_PX: f64 = 1.0;
 const FITS_PX: f64 = 2.0;
 /// Between two looks.
 const PAUSE: Duration = Duration::from_millis(2);
+/// A daemon that is not heard for so long is none, or does not matter.
+const HEARD: Duration = Duration::from_millis(300);
+/// How long a daemon may brake.
+const BRAKING: Duration = Duration::from_secs(1);
+/// How long one that has begun again may take until it sees camera and robot, and in how many
+/// cycles in a row it must see the pattern.
+const BEGINS: Duration = Duration::from_secs(3);
+const SEEN: u32 = 10;
 
 /// The command line of `teach`.
 #[derive(Clone, Debug, Args)]
@@ -140,6 +148,7 @@ pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<S
         take_up::build(&scene, memory)?;
     }
     daemon.take_up(&scene, memory.as_deref(), true, stop)?;
+    await_features(directory, stop)?;
     let _ = writeln!(
         text,
         "the daemon has begun again with {}, disarmed\nnext: vpcctl arm",
@@ -152,7 +161,8 @@ pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<S
 fn write(directory: &Path, path: &Path, output: &Path, watch: Duration) -> Result<String, Failure> {
     let old = Scene::read(path)?;
     let domain = presence::join(directory)?;
-    let cycles = domain.subscriber(usize::MAX)?;
+    let mut cycles = domain.subscriber(usize::MAX)?;
+    await_disarmed(&mut cycles)?;
     let seen = look(domain.subscriber(usize::MAX)?, old.pattern.len(), watch);
     check_disarmed(cycles)?;
     let seen = seen?;
@@ -218,15 +228,49 @@ fn look(
     still(&images)
 }
 
-/// An armed daemon would pull against the hand.
+/// Waits until a daemon that was just disarmed stands: an armed one would pull against the hand.
+fn await_disarmed(cycles: &mut Subscriber<CycleRecord>) -> Result<(), Failure> {
+    let (begin, mut newest) = (Instant::now(), None);
+    loop {
+        while let Some(record) = cycles.oldest()? {
+            newest = TwistState::from_code(record.state);
+        }
+        match newest {
+            Some(TwistState::Disarmed | TwistState::Stopped) => return Ok(()),
+            // The scene may be that of no daemon.
+            None if begin.elapsed() > HEARD => return Ok(()),
+            Some(_) if begin.elapsed() > BRAKING => return Err(is_armed()),
+            _ => std::thread::sleep(PAUSE),
+        }
+    }
+}
+
+/// Whether it was disarmed all the time.
 fn check_disarmed(mut cycles: Subscriber<CycleRecord>) -> Result<(), Failure> {
     while let Some(record) = cycles.oldest()? {
         let state = TwistState::from_code(record.state);
-        let is_armed = !matches!(state, Some(TwistState::Disarmed | TwistState::Stopped));
-        if is_armed {
-            let message = "the daemon is armed; allowed: disarmed, by vpcctl disarm";
-            return Err(Failure::new(Exit::Refused, message));
+        if !matches!(state, Some(TwistState::Disarmed | TwistState::Stopped)) {
+            return Err(is_armed());
         }
+    }
+    Ok(())
+}
+
+fn is_armed() -> Failure {
+    let message = "the daemon is armed; allowed: disarmed, by vpcctl disarm";
+    Failure::new(Exit::Refused, message)
+}
+
+/// Waits until a daemon that has begun again sees the pattern, so that it can be armed; not for
+/// long, as it may be hidden.
+fn await_features(directory: &Path, stop: &AtomicBool) -> Result<(), Failure> {
+    let mut cycles = presence::join(directory)?.subscriber::<CycleRecord>(usize::MAX)?;
+    let (begin, mut seen) = (Instant::now(), 0);
+    while seen < SEEN && begin.elapsed() < BEGINS && !stop.load(Ordering::Relaxed) {
+        while let Some(record) = cycles.oldest()? {
+            seen = if record.count > 0 { seen + 1 } else { 0 };
+        }
+        std::thread::sleep(PAUSE);
     }
     Ok(())
 }
