@@ -43,6 +43,11 @@ const SCENES: [&str; 2] = [
 /// Where `vpcd.toml` names its scene, and what stands behind that in the folder.
 const SCENE_LINE: &str = "scene = \"scene.toml\"\n";
 const MEMORY_LINE: &str = "# memory = \"task.vpcmem\" # foresight does without; vpc-memory build scene.toml -o task.vpcmem\n";
+/// What a real robot needs; where the right to it lacks, `vpcd` says so and goes on without.
+const REAL_TIME: &str = "
+[realtime]
+priority = 80           # SCHED_FIFO; see vpcd --preflight
+";
 /// The emulated robot, for a rehearsal without one. Its other keys have defaults.
 const EMULATOR: &str = "\
 # Configuration of hw-sim: an emulated robot at the address 127.0.0.1, whose camera sends the points of the scene.
@@ -80,12 +85,17 @@ fn files(robot: &str) -> [(&'static str, String); 7] {
     let bridge = here(include_str!("../../../ipc/clients/panda/vpc-panda.toml"))
         .replace("../../scene/scenes/paper-robot.toml", "scene.toml")
         .replace(ROBOT, robot);
+    let emulator = match robot.starts_with("fr3:") {
+        true => format!("{EMULATOR}fci_version = 10\n"),
+        false => EMULATOR.to_owned(),
+    };
     let daemon = here(include_str!("../../vpcd-tags.toml"))
         .replace(SCENE_LINE, &format!("{SCENE_LINE}{MEMORY_LINE}"))
         .replace(
             "hw-sim/hw-sim-tags.toml and ipc/clients/camera/vpc-camera.toml",
             "vpc-camera.toml",
-        );
+        )
+        .replace("in vpcd.toml; use", "in controller/CONFIGURATION.md; use");
     [
         ("scene.toml", here(scene::TAGS_ROBOT)),
         ("vpc-camera.toml", camera),
@@ -94,8 +104,8 @@ fn files(robot: &str) -> [(&'static str, String); 7] {
             "hand-eye.toml",
             here(include_str!("../../../ipc/clients/panda/hand-eye.toml")),
         ),
-        ("vpcd.toml", daemon),
-        ("hw-sim.toml", EMULATOR.to_owned()),
+        ("vpcd.toml", daemon + REAL_TIME),
+        ("hw-sim.toml", emulator),
         ("starts.csv", scene::TAGS_ROBOT_STARTS.to_owned()),
     ]
 }
@@ -179,6 +189,9 @@ mod tests {
         }
         assert!(text("vpc-camera.toml").contains("# calibration = \"camera.toml\""));
         assert!(text("vpcd.toml").contains("# memory = \"task.vpcmem\""));
+        assert!(text("vpcd.toml").contains("priority = 80"));
+        assert!(!text("vpcd.toml").contains("in vpcd.toml"));
+        assert!(text("hw-sim.toml").contains("fci_version = 10"));
         assert!(text("vpc-panda.toml").contains("robot = \"fr3:10.0.0.2\""));
         assert_eq!(robot(ROBOT).as_deref(), Ok(ROBOT));
         assert!(robot("ur5:10.0.0.2").is_err() && robot("panda:").is_err());

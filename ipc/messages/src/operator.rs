@@ -36,7 +36,7 @@ codes! {
         /// Refused: no good features are coming, so that nothing could be controlled.
         NoFeatures = 1 => "refused: no good features are coming",
         /// Refused: the robot reports a fault or a reflex.
-        RobotFault = 2 => "refused: the robot reports a fault: clear it at the robot",
+        RobotFault = 2 => "refused: the robot reports a fault: clear it at the robot, or by vpcctl recover",
         /// Refused: the camera is still braking; ask again when it stands still.
         Braking = 3 => "refused: still braking",
         /// Refused: the controller's memory of motion lacks what the strategy needs, or there is no

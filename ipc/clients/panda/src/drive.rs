@@ -67,7 +67,7 @@ const RETRY_NS: u64 = 1_000_000_000;
 #[derive(Debug, thiserror::Error)]
 pub enum DriveError {
     /// The robot does not answer, or no longer.
-    #[error("robot {address}: {source}")]
+    #[error("robot {address}: {source}{}", hint(source))]
     Robot {
         /// Where.
         address: String,
@@ -94,6 +94,14 @@ pub enum DriveError {
         /// Its errors.
         errors: String,
     },
+}
+
+/// What the interface's own words leave out.
+fn hint(source: &FrankaError) -> &'static str {
+    match source.to_string().contains("FCI refused") {
+        true => " Or is another client connected, such as a vpc-panda?",
+        false => "",
+    }
 }
 
 impl DriveError {

@@ -269,7 +269,7 @@ class Outcome(Code):
     # Refused: no good features are coming, so that nothing could be controlled.
     NO_FEATURES = 1, "refused: no good features are coming"
     # Refused: the robot reports a fault or a reflex.
-    ROBOT_FAULT = 2, "refused: the robot reports a fault: clear it at the robot"
+    ROBOT_FAULT = 2, "refused: the robot reports a fault: clear it at the robot, or by vpcctl recover"
     # Refused: the camera is still braking; ask again when it stands still.
     BRAKING = 3, "refused: still braking"
     # Refused: the controller's memory of motion lacks what the strategy needs, or there is no
