@@ -33,6 +33,39 @@ fn verdict(machine: &Machine, arm: &str, run: usize) -> Option<bool> {
     Some(line.contains(r#""verdict":"arrived""#))
 }
 
+/// What the log says where the machine was late for three arms at a time.
+const LATE: [&str; 4] = [
+    "disarmed: overruns",
+    "disarmed: standstill",
+    "disarmed: robot silent",
+    "slower than real time",
+];
+
+/// Waits until the camera of this arm has arrived in its `run`-th run; the number of the next one.
+/// Where the machine was late, the arm runs once more.
+fn arrived(machine: &Machine, arm: &str, run: usize) -> usize {
+    if eventually("a verdict", || verdict(machine, arm, run)) {
+        return run + 1;
+    }
+    let log = machine.must(&format!(
+        "journalctl --no-pager --output=cat --unit=vpcd@{arm} --unit=hw-sim@{arm}"
+    ));
+    assert!(LATE.iter().any(|words| log.contains(words)), "{arm}: {log}");
+    start(machine, &[arm]);
+    let is_arrived = eventually("a verdict", || verdict(machine, arm, run + 1));
+    assert!(is_arrived, "{arm}, once more after: {log}");
+    run + 2
+}
+
+/// Begins a run of each of these arms, and arms it.
+fn start(machine: &Machine, arms: &[&str]) {
+    let units: Vec<_> = arms.iter().map(|arm| format!("hw-sim@{arm}")).collect();
+    machine.must(&format!("systemctl start {}", units.join(" ")));
+    for arm in arms {
+        eventually("arming", || control(machine, arm, "arm").0.then_some(()));
+    }
+}
+
 #[test]
 fn a_stop_or_crash_of_one_of_three_arms_is_its_own() {
     let Some(machine) = Machine::boot("three arms", install) else {
@@ -64,20 +97,11 @@ fn a_stop_or_crash_of_one_of_three_arms_is_its_own() {
     }
 
     // All move at the same time, and arrive.
-    machine.must(&format!("systemctl start {}", all("hw-sim")));
-    for arm in ARMS {
-        eventually("arming", || control(&machine, arm, "arm").0.then_some(()));
-    }
-    for arm in ARMS {
-        let is_arrived = eventually("a verdict", || verdict(&machine, arm, 0));
-        assert!(is_arrived, "{arm}");
-    }
+    start(&machine, &ARMS);
+    let [_, next, _] = ARMS.map(|arm| arrived(&machine, arm, 0));
 
     // Both start again and move; one of them is stopped, the third one's daemon is killed.
-    machine.must("systemctl start hw-sim@left hw-sim@middle");
-    for arm in ["left", "middle"] {
-        eventually("arming", || control(&machine, arm, "arm").0.then_some(()));
-    }
+    start(&machine, &["left", "middle"]);
     let (is_stopped, said) = control(&machine, "left", "stop");
     assert!(is_stopped, "{said}");
     machine.must("systemctl kill --signal=KILL vpcd@right");
@@ -91,8 +115,7 @@ fn a_stop_or_crash_of_one_of_three_arms_is_its_own() {
             .then_some(())
     });
     // The middle one arrives as if nothing had been.
-    let is_arrived = eventually("a verdict", || verdict(&machine, "middle", 1));
-    assert!(is_arrived, "middle");
+    arrived(&machine, "middle", next);
     assert_eq!(show("left", "NRestarts"), "0");
     assert_eq!(show("middle", "NRestarts"), "0");
     let (_, said) = control(&machine, "left", "status --watch 0.1");
