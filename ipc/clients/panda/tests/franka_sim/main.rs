@@ -51,9 +51,10 @@ struct Seen {
     /// Greatest distance there between the command and what `vpc/robot` told, as a share of the
     /// caps.
     told_apart: f64,
-    /// Distance of the measured joints' twist: the median of the worst leg. A stall of the machine
-    /// of some milliseconds leaves this emulator's arm behind, and it catches up at once, at up to
-    /// one and a half times the command.
+    /// Greatest distance there between the command and the measured joints' twist, as a share of
+    /// the caps, but for the worst quarter of each leg: a stall of the machine of some milliseconds
+    /// leaves this emulator's arm behind, and it catches up at once, at up to one and a half times
+    /// the command.
     moved_apart: f64,
     /// Legs of [`LEAST`] such instants.
     legs: u32,
@@ -230,7 +231,7 @@ impl Seen {
         is_stale || is_limited
     }
 
-    /// How far the measured joints move from the command.
+    /// Returns the distance between the command and the measured joints' twist, a share of the caps.
     fn judge(&mut self, state: &RobotState, command: &Twist, mount: &Mount) -> f64 {
         let apart = |twist: Twist| {
             let [linear, angular] = CAPS;
@@ -247,7 +248,7 @@ impl Seen {
     fn end(&mut self, moved: &mut Vec<f64>) {
         moved.sort_by(f64::total_cmp);
         if moved.len() >= LEAST {
-            self.moved_apart = self.moved_apart.max(moved[moved.len() / 2]);
+            self.moved_apart = self.moved_apart.max(moved[moved.len() * 3 / 4]);
             self.legs += 1;
         }
         moved.clear();
