@@ -33,14 +33,14 @@ const STILL_PX: f64 = 1.0;
 const FITS_PX: f64 = 2.0;
 /// Between two looks.
 const PAUSE: Duration = Duration::from_millis(2);
-/// A daemon that is not heard for so long is none, or does not matter.
-const HEARD: Duration = Duration::from_millis(300);
+/// Silence after which no daemon is assumed.
+const SILENCE: Duration = Duration::from_millis(300);
 /// How long a daemon may brake.
-const BRAKING: Duration = Duration::from_secs(1);
-/// How long one that has begun again may take until it sees camera and robot, and in how many
-/// cycles in a row it must see the pattern.
+const BRAKING: Duration = Duration::from_secs(5);
+/// How long a daemon that has begun again is waited for.
 const BEGINS: Duration = Duration::from_secs(3);
-const SEEN: u32 = 10;
+/// Images with the whole pattern, exposed since then, after which it can be armed.
+const SEEN: usize = 3;
 
 /// The command line of `teach`.
 #[derive(Clone, Debug, Args)]
@@ -57,8 +57,8 @@ pub struct TeachArguments {
     #[arg(long)]
     pub build: bool,
 
-    /// Put scene and memory, which is built, in the places of the daemon's; those stay as *.before.
-    /// The daemon begins again with the new ones, disarmed.
+    /// Put the scene, and if the daemon has a memory a new one, in the places of the daemon's; those
+    /// stay as *.before. The daemon begins again with the new ones, disarmed.
     #[arg(long, conflicts_with_all = ["output", "scene", "build", "force"])]
     pub replace: bool,
 
@@ -148,7 +148,7 @@ pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<S
         take_up::build(&scene, memory)?;
     }
     daemon.take_up(&scene, memory.as_deref(), true, stop)?;
-    await_features(directory, stop)?;
+    await_features(directory, Scene::read(&daemon.scene)?.pattern.len(), stop);
     let _ = writeln!(
         text,
         "the daemon has begun again with {}, disarmed\nnext: vpcctl arm",
@@ -237,15 +237,16 @@ fn await_disarmed(cycles: &mut Subscriber<CycleRecord>) -> Result<(), Failure> {
         }
         match newest {
             Some(TwistState::Disarmed | TwistState::Stopped) => return Ok(()),
-            // The scene may be that of no daemon.
-            None if begin.elapsed() > HEARD => return Ok(()),
-            Some(_) if begin.elapsed() > BRAKING => return Err(is_armed()),
-            _ => std::thread::sleep(PAUSE),
+            Some(TwistState::Braking) if begin.elapsed() < BRAKING => (),
+            None if begin.elapsed() < SILENCE => (),
+            None => return Ok(()),
+            Some(_) => return Err(is_armed()),
         }
+        std::thread::sleep(PAUSE);
     }
 }
 
-/// Whether it was disarmed all the time.
+/// Refuses what was seen if the daemon was armed meanwhile.
 fn check_disarmed(mut cycles: Subscriber<CycleRecord>) -> Result<(), Failure> {
     while let Some(record) = cycles.oldest()? {
         let state = TwistState::from_code(record.state);
@@ -261,18 +262,27 @@ fn is_armed() -> Failure {
     Failure::new(Exit::Refused, message)
 }
 
-/// Waits until a daemon that has begun again sees the pattern, so that it can be armed; not for
-/// long, as it may be hidden.
-fn await_features(directory: &Path, stop: &AtomicBool) -> Result<(), Failure> {
-    let mut cycles = presence::join(directory)?.subscriber::<CycleRecord>(usize::MAX)?;
-    let (begin, mut seen) = (Instant::now(), 0);
+/// Waits until a daemon that has begun again sees a pattern of so many points, so that it can be
+/// armed. Not for long, as the pattern may be hidden by now: the goal is taken up all the same.
+fn await_features(directory: &Path, points: usize, stop: &AtomicBool) {
+    let Ok(domain) = presence::join(directory) else {
+        return;
+    };
+    let Ok(mut cycles) = domain.subscriber::<CycleRecord>(usize::MAX) else {
+        return;
+    };
+    let is_whole = |record: &CycleRecord| {
+        record.count as usize == points && (0..points).all(|point| record.sees(point))
+    };
+    let (begin, begin_ns, mut seen) = (Instant::now(), ipc::now_ns(), 0);
     while seen < SEEN && begin.elapsed() < BEGINS && !stop.load(Ordering::Relaxed) {
-        while let Some(record) = cycles.oldest()? {
-            seen = if record.count > 0 { seen + 1 } else { 0 };
+        while let Ok(Some(record)) = cycles.oldest() {
+            // It refuses an earlier one: what moved the camera since then is not known.
+            let is_new = record.features_seen.data_ns > begin_ns;
+            seen += usize::from(is_new && is_whole(&record));
         }
         std::thread::sleep(PAUSE);
     }
-    Ok(())
 }
 
 /// The mean of images; refused where the camera or the pattern moves.
