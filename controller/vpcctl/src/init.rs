@@ -42,8 +42,8 @@ const SCENES: [&str; 2] = [
 ];
 /// Where `vpcd.toml` names its scene, and what stands behind that in the folder.
 const SCENE_LINE: &str = "scene = \"scene.toml\"\n";
-const MEMORY_LINE: &str = "# memory = \"task.vpcmem\" # foresight does without; vpc-memory build scene.toml -o task.vpcmem\n";
-/// What a real robot needs; where the right to it lacks, `vpcd` says so and goes on without.
+const MEMORY_LINE: &str = "# memory = \"task.vpcmem\" # foresight needs none; vpc-memory build scene.toml -o task.vpcmem\n";
+/// What a real robot needs; without the right to it, `vpcd` says so and goes on.
 const REAL_TIME: &str = "
 [realtime]
 priority = 80           # SCHED_FIFO; see vpcd --preflight
@@ -193,6 +193,7 @@ mod tests {
         assert!(!text("vpcd.toml").contains("in vpcd.toml"));
         assert!(text("hw-sim.toml").contains("fci_version = 10"));
         assert!(text("vpc-panda.toml").contains("robot = \"fr3:10.0.0.2\""));
+        assert!(!self::files(ROBOT)[5].1.contains("fci_version"));
         assert_eq!(robot(ROBOT).as_deref(), Ok(ROBOT));
         assert!(robot("ur5:10.0.0.2").is_err() && robot("panda:").is_err());
     }

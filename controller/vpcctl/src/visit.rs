@@ -80,10 +80,13 @@ impl<'a> Goal<'a> {
     fn read(path: &'a Path, has_memory: bool) -> Result<Self, Failure> {
         scene::Scene::read(path)?;
         let memory = path.with_extension("vpcmem");
-        let to_build = |missing: Failure| {
-            let (name, memory) = (path.display(), memory.display());
-            let message = format!("{missing}: vpc-memory build {name} -o {memory} makes it");
-            Failure::new(missing.exit, message)
+        let to_build = |failure: Failure| match memory.exists() {
+            true => failure,
+            false => {
+                let (name, memory) = (path.display(), memory.display());
+                let message = format!("{failure}: vpc-memory build {name} -o {memory} makes it");
+                Failure::new(failure.exit, message)
+            }
         };
         let of_memory = || bytes(&memory).map_err(to_build);
         Ok(Self {

@@ -1,6 +1,5 @@
 //! The pictures of the pages, each made again by the programs that draw it.
 
-use std::os::unix::process::CommandExt;
 use std::path::Path;
 
 use anyhow::{Context, ensure};
@@ -16,14 +15,14 @@ const GALLERY: &str = "controller/figures/gallery";
 struct Picture {
     name: &'static str,
     make: Make,
-    /// What they made, below `out/`.
+    /// The file that the lines make, below `out/`.
     from: &'static str,
 }
 
 /// Lines of a shell at the root of the repository.
 enum Make {
     Lines(&'static str),
-    /// The first ones that follow the picture in this page.
+    /// The first block of them after the picture in this page, in the same section.
     Page(&'static str),
 }
 
@@ -50,16 +49,19 @@ const PICTURES: [Picture; 4] = [
     },
 ];
 
-/// What stands before the lines: the programs of this clone, in a domain of their own, which end
-/// with them.
-const BEFORE: &str = "\
+/// What stands before the lines: the programs of this clone, in a domain of their own. What the
+/// lines leave at work ends with the shell.
+const BEFORE: &str = r#"
 cargo build --release --quiet
-PATH=$PROGRAMS:$PATH
+mkdir "$OUT/programs"
 for program in vpcd hw-sim vpcctl; do
-    eval \"$program() { command $program --domain $OUT/domain \\\"\\$@\\\"; }\"
+    printf '#!/bin/sh\nexec "%s" --domain "%s" "$@"\n' \
+        "$PROGRAMS/$program" "$OUT/domain" >"$OUT/programs/$program"
+    chmod +x "$OUT/programs/$program"
 done
-trap 'trap \"\" TERM; kill 0; wait' EXIT
-";
+PATH=$OUT/programs:$PATH
+trap 'kill $(jobs -p) 2>/dev/null || :; wait' EXIT
+"#;
 
 /// Makes the pictures of these names, or all.
 ///
@@ -84,12 +86,10 @@ pub fn gallery(names: &[String]) -> anyhow::Result<()> {
             Make::Lines(lines) => lines.to_owned(),
             Make::Page(page) => of_page(page, picture.name)?,
         };
-        // What a reader of the page made is left alone.
-        let lines = lines.replace("out/", "$OUT/");
+        // What a reader of the page made in `out` is left alone.
+        let lines = lines.replace("out/", "\"$OUT\"/");
         let mut shell = tool("bash");
         shell
-            // Of its own, which it ends.
-            .process_group(0)
             .args(["-euc", &format!("{BEFORE}{lines}")])
             .env("OUT", out.path())
             .env("PROGRAMS", target.join("release"));
@@ -102,11 +102,15 @@ pub fn gallery(names: &[String]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The lines of a shell that follow the picture in the page.
+/// The block of lines after the picture in the page.
 fn of_page(page: &str, picture: &str) -> anyhow::Result<String> {
     let text = std::fs::read_to_string(root().join(page)).with_context(|| page.to_owned())?;
     let after = text.split_once(&format!("gallery/{picture})"));
-    let lines = after.and_then(|(_, rest)| rest.split_once("```sh\n")?.1.split_once("```"));
+    let lines = after.and_then(|(_, rest)| {
+        let (between, lines) = rest.split_once("```sh\n")?;
+        let is_there = !between.contains("\n#") && !between.contains("![");
+        is_there.then(|| lines.split_once("```"))?
+    });
     let (lines, _) = lines.with_context(|| format!("{page}: no lines after {picture}"))?;
     Ok(lines.to_owned())
 }

@@ -126,9 +126,9 @@ enum Command {
         #[arg(long)]
         api: bool,
     },
-    /// Make the pictures of the pages again; in minutes
+    /// Make the pictures of the pages again (takes minutes)
     Gallery {
-        /// Their names, as stop.gif [default: all]
+        /// Their names, such as stop.gif [default: all]
         names: Vec<String>,
     },
     /// Make a release: source, Debian package, wheel, notes and checksums

@@ -187,7 +187,7 @@ async fn command(
     }
 }
 
-/// What the camera sees now becomes the daemon's goal, which takes as long as to build a memory.
+/// What the camera sees now becomes the daemon's goal. If it has a memory, that takes minutes.
 async fn show_goal(State(server): State<Arc<Server>>, headers: HeaderMap) -> Response {
     let directory = match commanded(&server, &headers) {
         Ok(directory) => directory,

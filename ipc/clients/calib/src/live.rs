@@ -44,7 +44,7 @@ pub enum LiveError {
     #[error(transparent)]
     Flags(#[from] clap::Error),
     /// No camera.
-    #[error("no image for {} s; does a camera publish on vpc/image of this domain? A camera of this machine is source = \"v4l2:/dev/video0\"", PATIENCE.as_secs())]
+    #[error("no image for {} s; does a camera publish on vpc/image of this domain? For a camera of this machine set source = \"v4l2:/dev/video0\" in vpc-camera.toml", PATIENCE.as_secs())]
     Silent,
 }
 

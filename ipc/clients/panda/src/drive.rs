@@ -99,7 +99,7 @@ pub enum DriveError {
 /// What the interface's own words leave out.
 fn hint(source: &FrankaError) -> &'static str {
     match source.to_string().contains("FCI refused") {
-        true => " Or is another client connected, such as a vpc-panda?",
+        true => " Or is another client connected, such as another vpc-panda?",
         false => "",
     }
 }
@@ -355,8 +355,8 @@ impl Bridge<'_> {
             Ok(None) => (),
             Ok(Some(newest)) => {
                 self.command = newest.message;
-                let is_zero = self.command.twist == [0.0; 6];
                 // A daemon's last zero is valid for ever, too.
+                let is_zero = self.command.twist == [0.0; 6];
                 if self.command.in_force_until_ns() == 0 && !is_zero {
                     (self.tell)(Event::NotObeyed("it is of a controller in lockstep"));
                 }
