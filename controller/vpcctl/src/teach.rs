@@ -147,8 +147,9 @@ pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<S
     if let Some(memory) = &memory {
         take_up::build(&scene, memory)?;
     }
+    let points = Scene::read(&scene)?.pattern.len();
     daemon.take_up(&scene, memory.as_deref(), true, stop)?;
-    await_features(directory, Scene::read(&daemon.scene)?.pattern.len(), stop);
+    await_features(directory, points, stop);
     let _ = writeln!(
         text,
         "the daemon has begun again with {}, disarmed\nnext: vpcctl arm",
