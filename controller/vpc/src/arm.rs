@@ -12,18 +12,14 @@
 //! | q | [`Posture::q`] | joint positions, rad or m |
 //! | g v <= b | `Bound` | a damper |
 //! | n v = 0 | `Dampers::still` | a direction in which no joint moves the camera |
-//! | c = P (b - g v) | `Row` | its clearance as the solver has it, px |
-//! | P | `PX` | weight of a damper against a clearance in the image |
+//! | c = P (b - g v) | [`Row`] | its clearance as the solver has it, px |
 
 use ::arm::{Arm, Bound, Dampers, JOINTS, Joints};
 pub use ::arm::{Cause, Other, Pair};
 use serde::{Deserialize, Serialize};
 
+use crate::row::Row;
 use crate::{DOF, Twist};
-
-/// Pixels that 1 rad/s, m/s or 1/s of a damper counts as: above what the same motion moves in the
-/// image.
-const PX: f64 = 1000.0;
 
 /// A damper binds a command that leaves less than this share of what a twist at the scene's limits
 /// would take of it. Commands that a damper stops leave at most 0.002, by the solver's accuracy,
@@ -80,25 +76,6 @@ pub(crate) fn carried(arm: Option<&Arm>, q: Option<&Joints>, twist: &Twist, seco
     known.map_or(*twist, |(arm, q)| arm.carried(q, twist, seconds))
 }
 
-/// A row g v <= b of a command.
-pub(crate) struct Row {
-    gradient: [f64; DOF],
-    most: f64,
-}
-
-impl Row {
-    /// How far a command is within it, px; negative beyond it.
-    pub fn clearance_px(&self, twist: &Twist) -> f64 {
-        let pairs = self.gradient.iter().zip(twist);
-        PX * (self.most - pairs.map(|(g, v)| g * v).sum::<f64>())
-    }
-
-    /// The derivative of [`Row::clearance_px`] by the command.
-    pub fn slope(&self) -> [f64; DOF] {
-        self.gradient.map(|g| -PX * g)
-    }
-}
-
 /// The rows of a command: its dampers, and n v <= 0 and -n v <= 0 for each n.
 pub(crate) fn rows(dampers: &Dampers) -> impl Iterator<Item = Row> {
     let damped = dampers.bounds.iter().map(|bound| Row {
@@ -109,15 +86,6 @@ pub(crate) fn rows(dampers: &Dampers) -> impl Iterator<Item = Row> {
     let still = dampers.still.iter().flat_map(both);
     let most = 0.0;
     damped.chain(still.map(move |gradient| Row { gradient, most }))
-}
-
-/// By how much a command is beyond its rows, px: each.
-pub(crate) fn violations_px<'a>(
-    dampers: Option<&'a Dampers>,
-    twist: &'a Twist,
-) -> impl Iterator<Item = f64> + 'a {
-    let rows = dampers.into_iter().flat_map(rows);
-    rows.map(|row| (-row.clearance_px(twist)).max(0.0))
 }
 
 /// What binds a command within these limits: the cause of the damper of which it leaves the least

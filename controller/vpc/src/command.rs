@@ -6,6 +6,7 @@ use crate::cost;
 use crate::limit;
 use crate::prediction::{InitialState, Plan, repeated};
 use crate::problem::{Problem, Solution};
+use crate::row::Row;
 use crate::settings::Settings;
 use crate::solver::Solver;
 use crate::task::Task;
@@ -30,6 +31,8 @@ pub(crate) struct Present<'a> {
     pub extra_px: f64,
     /// What the arm allows of a command that is in force for `interval`, where it is known.
     pub dampers: Option<&'a Dampers>,
+    /// What keeps the camera in front of the pattern.
+    pub view: Option<Row>,
     /// A wanted twist: the command is as near to it as it may be, and does not aim at the target.
     pub wanted: Option<Twist>,
 }
@@ -98,6 +101,7 @@ impl Policy<'_> {
             interval,
             extra_px,
             dampers,
+            view,
             wanted,
             ..
         } = *present;
@@ -112,6 +116,7 @@ impl Policy<'_> {
             ts: self.step_s(initial, target, interval),
             margin: self.settings.margin_px + extra_px,
             dampers,
+            view,
             wanted,
             // What comes after the next step of a refined way is checked by its future; after that
             // of another program's twist, by the next cycle.
@@ -159,6 +164,7 @@ impl Policy<'_> {
             ts: self.task.ts,
             margin: 0.0,
             dampers: None,
+            view: None,
             wanted: None,
             watched: 0,
         };

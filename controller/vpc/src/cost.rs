@@ -187,6 +187,7 @@ mod tests {
             ts: task.ts,
             margin: 0.0,
             dampers: None,
+            view: None,
             wanted: None,
             watched: 7,
         };

@@ -885,6 +885,7 @@ impl Thinker<'_> {
                 warm: &now.previous,
                 extra_px: self.extra_px,
                 dampers: dampers.as_ref(),
+                view: None,
                 wanted,
             };
             let (twist, solution) = policy.command(self.solver, &present, aim, aim);

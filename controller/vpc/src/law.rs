@@ -29,7 +29,9 @@ use crate::strategy::Strategy;
 use crate::task::{Task, TaskError};
 use crate::way::Way;
 use crate::work::Prices;
-use crate::{DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit};
+use crate::{
+    DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit, view,
+};
 
 /// What a step proposed.
 #[derive(Clone, Copy)]
@@ -1045,6 +1047,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             warm: &self.state.previous,
             extra_px: self.back_off_px(initial) + SPARE_PX,
             dampers,
+            view: view::bound(&self.task, initial, &self.state.standing),
             wanted: None,
         };
         let policy = Policy {
@@ -1108,6 +1111,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             warm,
             extra_px: self.back_off_px(initial),
             dampers,
+            view: None,
             wanted,
         };
         let Some(mut solver) = self.share.solver(&self.settings, self.workspace.as_mut()) else {

@@ -5,6 +5,7 @@
 use ::arm::Dampers;
 
 use crate::prediction::{InitialState, Plan, repeated};
+use crate::row::Row;
 use crate::span::Span;
 use crate::task::Task;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, arm};
@@ -43,6 +44,8 @@ pub struct Problem<'a> {
     pub margin: f64,
     /// What the arm allows, where it is known, and what a posture that it goes to wants.
     pub dampers: Option<&'a Dampers>,
+    /// What keeps the camera in front of the pattern, where that is asked for.
+    pub view: Option<Row>,
     /// A wanted twist: the plan goes as near to it as it may, and not to the target.
     pub wanted: Option<Twist>,
     /// Steps of the window in which clearances count.
@@ -81,6 +84,19 @@ impl Problem<'_> {
                 wanted: &self.initial.drift.twist,
             },
         }
+    }
+
+    /// The linear bounds on each command.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = Row> {
+        self.dampers
+            .into_iter()
+            .flat_map(arm::rows)
+            .chain(self.view)
+    }
+
+    /// By how much a command is beyond them, px: each.
+    pub(crate) fn violations_px(&self, twist: &Twist) -> impl Iterator<Item = f64> {
+        self.rows().map(|row| (-row.clearance_px(twist)).max(0.0))
     }
 
     /// Least and greatest value of the k-th variable of a plan: inside the velocity limits, and no

@@ -30,7 +30,7 @@ use crate::qp::{ActiveSet, Answer, QpStatus, Quadratic, Rows};
 use crate::size::Size;
 use crate::work::Prices;
 use crate::workspace::Workspace;
-use crate::{DOF, MAX_VARIABLES, Twist, arm};
+use crate::{DOF, MAX_VARIABLES, Twist};
 
 /// Halvings of a step before the line search gives up.
 const MAX_HALVINGS: usize = 8;
@@ -187,11 +187,10 @@ impl<'w, const N: usize> Sqp<'w, N> {
         let (pixels, radii) = (initial.explained(task), initial.radii(task));
         let begins = pixels.into_iter().zip(radii);
         let begins = begins.map(|(pixel, radius)| Place { pixel, radius });
-        // Braking is always possible: no command may be further beyond the dampers than it.
-        let most = |twist: &Twist| arm::violations_px(problem.dampers, twist).fold(0.0, f64::max);
-        if problem.dampers.is_some()
-            && most(&first_command(&plan)) > most(&problem.braking()).max(slack)
-        {
+        // Braking is always possible: no command may be further beyond the rows than it.
+        let most = |twist: &Twist| problem.violations_px(twist).fold(0.0, f64::max);
+        let beyond = most(&first_command(&plan));
+        if beyond > slack && beyond > most(&problem.braking()) {
             return false;
         }
         let (mut is_clear, mut sums, mut worst) = (true, [0.0; 2], [0.0_f64; 2]);
@@ -341,8 +340,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
             }
             rows.push(gradient, distance)
         };
-        let of_arm = problem.dampers.into_iter().flat_map(arm::rows);
-        for (index, row) in of_arm.enumerate() {
+        for (index, row) in problem.rows().enumerate() {
             let (commands, slope) = (plan.as_chunks::<DOF>().0, row.slope());
             for (command, twist) in commands.iter().enumerate() {
                 let gradient: [f64; N] = core::array::from_fn(|k| match k / DOF == command {
@@ -534,7 +532,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
             }
         }
         for command in plan.as_chunks::<DOF>().0 {
-            arm::violations_px(problem.dampers, command).for_each(&mut count);
+            problem.violations_px(command).for_each(&mut count);
         }
         let is_finite = outcome.merit(1.0).is_finite();
         is_finite.then_some(Iterate { plan, outcome })

@@ -18,10 +18,22 @@ const DEEPEST_PX: f64 = 0.25;
 /// because the pattern may move, at most, and a little more.
 const FAR_PX: f64 = 18.0;
 
+/// The least sine of the angle between the line of sight and the pattern's plane: of 15 degrees, less
+/// what a command changes within a period. And that from which the law lets every twist pass.
+const FROM_FRONT: f64 = 0.255;
+const FRONTAL: f64 = 0.56;
+
 /// A camera that obeys exactly.
 struct Camera<'a> {
     task: &'a Task,
     points: Vec<Vector3<f64>>,
+}
+
+/// The sine of the angle between the line of sight to the middle of the points and their plane.
+fn sine(points: &[Vector3<f64>]) -> f64 {
+    let normal = (points[1] - points[0]).cross(&(points[2] - points[0]));
+    let middle = points.iter().sum::<Vector3<f64>>();
+    normal.normalize().dot(&middle.normalize()).abs()
 }
 
 impl Camera<'_> {
@@ -83,6 +95,8 @@ struct Seen {
     /// How many were changed.
     changed: u64,
     deepest_px: f64,
+    /// Of the lowest view.
+    least_sine: f64,
     /// Greatest component, and greatest change of one in a period, as a share of what is allowed.
     fastest: f64,
     steepest: f64,
@@ -109,8 +123,7 @@ fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
         law.want(wanted);
         let step = match law.step(&measured, None) {
             Ok(step) => step,
-            // From the side, or too small to see.
-            Err(_) => return,
+            Err(refusal) => panic!("seed {seed}, cycle {k}: {refusal}"),
         };
         law.sent(&step.twist, now_ns);
         seen.twists += 1;
@@ -130,7 +143,8 @@ fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
                 .all(|(v, most)| v.abs() <= *most);
             let is_harmless = is_slow
                 && may_begin <= task.period
-                && camera.deepest_px(&wanted, seconds, FAR_PX) == 0.0;
+                && camera.deepest_px(&wanted, seconds, FAR_PX) == 0.0
+                && sine(&camera.after(&wanted, seconds)) > FRONTAL;
             let passed = step.twist.map(f64::to_bits) == wanted.map(f64::to_bits);
             assert!(
                 passed || !is_harmless,
@@ -144,6 +158,7 @@ fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
         seen.deepest_px = seen.deepest_px.max(deepest_px);
         standing = step.twist;
         camera.points = camera.after(&standing, task.period);
+        seen.least_sine = seen.least_sine.min(sine(&camera.points));
     }
 }
 
@@ -156,7 +171,10 @@ fn guarded(limits: Limits) -> Seen {
         Some(_) => 1_000_000,
         None => 20_000,
     };
-    let mut seen = Seen::default();
+    let mut seen = Seen {
+        least_sine: 1.0,
+        ..Seen::default()
+    };
     for (seed, start) in (0..).zip(starts.iter().cycle()) {
         guard(&scene, start, seed, &mut seen);
         if seen.twists >= most {
@@ -167,7 +185,55 @@ fn guarded(limits: Limits) -> Seen {
     assert!(seen.harmless > seen.twists / 10, "{seen:?}");
     assert!(seen.changed > seen.twists / 10, "{seen:?}");
     assert!(seen.fastest <= 1.0, "{seen:?}");
+    assert!(seen.least_sine > FROM_FRONT, "{seen:?}");
     seen
+}
+
+/// Ways around the pattern, on which the camera turns so that it keeps it in sight.
+#[test]
+fn no_twist_leads_to_the_pattern_s_side() {
+    let mut scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    scene.occlusions.clear();
+    for acceleration in [None, Some(0.5), Some(2.0)] {
+        scene.limits.linear_acceleration = acceleration;
+        scene.limits.angular_acceleration = acceleration.map(|most| 2.0 * most);
+        for way in 0..16_u32 {
+            let (sin, cos) = (f64::from(way) * std::f64::consts::TAU / 16.0).sin_cos();
+            let settings = Settings {
+                strategy: Strategy::Follow,
+                ..Settings::default()
+            };
+            let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+            let task = law.task().clone();
+            let mut camera = Camera {
+                task: &task,
+                points: task::placed(&task.pattern, &scene.goal).collect(),
+            };
+            let mut lowest = 1.0_f64;
+            for k in 0..CYCLES * 3 {
+                let now_ns = (k as f64 * task.period * 1e9).round() as u64;
+                let measured = Measurement::from_points(&camera.pixels()).taken(now_ns, now_ns);
+                let middle = camera.points.iter().sum::<Vector3<f64>>() / 4.0;
+                let (x, y) = (middle.x / middle.z, middle.y / middle.z);
+                let (speed, turn, aim) = (0.4, 0.4 / middle.norm(), 2.0);
+                law.want(Some([
+                    speed * cos,
+                    speed * sin,
+                    0.0,
+                    turn * sin - aim * y,
+                    aim * x - turn * cos,
+                    0.0,
+                ]));
+                let step = law.step(&measured, None);
+                let step = step.unwrap_or_else(|why| panic!("{acceleration:?}, way {way}: {why}"));
+                law.sent(&step.twist, now_ns);
+                camera.points = camera.after(&step.twist, task.period);
+                lowest = lowest.min(sine(&camera.points));
+            }
+            // As far as it may.
+            assert!((FROM_FRONT..0.3).contains(&lowest), "{way}: {lowest}");
+        }
+    }
 }
 
 #[test]

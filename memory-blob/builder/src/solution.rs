@@ -99,6 +99,7 @@ impl<'a> Finder<'a> {
             ts: self.task.ts,
             margin: 0.0,
             dampers: None,
+            view: None,
             wanted: None,
             watched: vpc::MAX_NP,
         };

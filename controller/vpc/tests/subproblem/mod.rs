@@ -115,6 +115,7 @@ impl Case {
             ts: self.task.ts,
             margin: 0.0,
             dampers: None,
+            view: None,
             wanted: None,
             watched: vpc::MAX_NP,
         }
