@@ -166,27 +166,39 @@ impl Peer {
 
     /// From a start until it moves.
     pub fn set_off(&mut self, start: usize) {
-        let mut last = Value::Null;
-        for _ in 0..TRIES {
-            self.place(start);
-            let moves = within(PATIENCE, || {
-                last = self.status();
-                (last["speed"].as_f64()? > 0.05).then_some(())
-            });
-            let state = &last["diagnostics"]["/vpcd: vpcd"]["message"];
-            match state.as_str() {
-                _ if moves.is_some() => return,
-                // A machine that stands still, as in a run.
-                Some(words) if words.starts_with("disarmed") => {
-                    tell(format_args!("{start}: {words}"))
-                }
-                _ => break,
-            }
-        }
-        panic!("no motion: {last}");
+        let moves = self.tried(|peer| {
+            peer.place(start);
+            peer.moves(0.05)
+        });
+        assert!(moves, "no motion from start {start}");
     }
 
-    fn place(&mut self, start: usize) {
+    /// Whether it is so, of several tries, that vpcd remained armed.
+    pub fn tried(&mut self, mut attempt: impl FnMut(&mut Self) -> bool) -> bool {
+        (0..TRIES).any(|_| attempt(self))
+    }
+
+    /// Waits until it is faster than `speed`, in m/s or rad/s. `false`, and says why, where vpcd
+    /// has disarmed instead, as where a machine stands still.
+    pub fn moves(&mut self, speed: f64) -> bool {
+        let mut last = Value::Null;
+        let moves = within(PATIENCE, || {
+            last = self.status();
+            (last["speed"].as_f64()? > speed).then_some(())
+        });
+        let state = last["diagnostics"]["/vpcd: vpcd"]["message"].as_str();
+        match state {
+            _ if moves.is_some() => true,
+            Some(words) if words.starts_with("disarmed") => {
+                tell(words);
+                false
+            }
+            _ => panic!("no motion: {last}"),
+        }
+    }
+
+    /// At a start, armed.
+    pub fn place(&mut self, start: usize) {
         self.ask("call disarm");
         self.ask(&format!("place {start}"));
         // Until the jump is over.

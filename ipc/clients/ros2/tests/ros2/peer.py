@@ -19,6 +19,8 @@ TICK = 0.01
 TIMEOUT = 0.1
 FRAMES = {"camera": "camera_optical_frame", "tool": "tool0", "base": "base_link"}
 JOINTS = ["shoulder", "elbow", "wrist"]
+# Standard deviation of what is seen.
+NOISE_PX = 0.01
 # The camera on the tool, and the object in the base: of the test's configuration.
 MOUNT = rotation(np.radians([5.0, -40.0, 90.0])), np.array([0.05, -0.02, 0.08])
 OBJECT = rotation([2.0, -1.0, 0.5]), np.array([0.6, -0.2, 0.1])
@@ -80,6 +82,7 @@ class Peer:
         # What is wrong on purpose.
         self.faults = {}
         self.run, self.wish, self.deepest = None, None, None
+        self.noise = np.random.default_rng(1)
         self.counts = {"twists": 0, "zeros": 0, "late": 0, "wrong_frame": 0}
         self.ticks = 0
         self.last = time.monotonic()
@@ -138,7 +141,9 @@ class Peer:
         c = {**self.scene["camera"], **self.fault("camera", {})}
         header = self.header(self.fault("camera_frame", FRAMES["camera"]), wall)
         self.graph.info(header, c, self.fault("distortion", [0.0] * 5))
-        tags = [(number, [float(u), float(v)]) for number, (u, v) in enumerate(pixels)]
+        # A camera repeats no image to the last bit; one that does counts as frozen.
+        seen = pixels + self.noise.normal(0.0, NOISE_PX, pixels.shape)
+        tags = [(number, [float(u), float(v)]) for number, (u, v) in enumerate(seen)]
         tags = [tag for tag in tags if tag[0] != self.fault("hidden")]
         if self.fault("nan") is not None:
             tags[self.fault("nan")][1][0] = float("nan")

@@ -5,7 +5,7 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use testkit::{eventually, tell};
 
-use crate::bench::Bench;
+use crate::bench::{Bench, Peer};
 
 /// Wanted in turn, far beyond the scene's limits; the camera would lose the pattern within 1 s.
 const TWISTS: [&str; 4] = [
@@ -19,23 +19,18 @@ fn is_still(status: &Value) -> Option<()> {
     (status["speed"] == json!(0.0)).then_some(())
 }
 
-#[test]
-fn what_a_policy_in_ros_wants_loses_no_point_and_its_silence_brakes() {
-    let Some(mut bench) = Bench::guarded("a policy in ROS", 154) else {
-        return;
-    };
-    let peer = &mut bench.peer;
-    peer.ask("call disarm");
-    peer.ask("place 0");
-    std::thread::sleep(Duration::from_millis(100));
-    peer.arm();
+/// Follows each twist, stands when nothing is wanted any more, and follows again; `false` where
+/// vpcd has disarmed.
+fn follows(peer: &mut Peer) -> bool {
+    peer.ask("wish null");
+    peer.place(0);
     // Armed, it waits.
     eventually("standstill", || is_still(&peer.status()));
     for twist in TWISTS {
         peer.ask(&format!("wish {twist}"));
-        eventually("motion", || {
-            (peer.status()["speed"].as_f64()? > 0.02).then_some(())
-        });
+        if !peer.moves(0.02) {
+            return false;
+        }
         std::thread::sleep(Duration::from_millis(1500));
         let status = peer.status();
         tell(format_args!("{twist}: {} twists", status["twists"]));
@@ -45,9 +40,16 @@ fn what_a_policy_in_ros_wants_loses_no_point_and_its_silence_brakes() {
     eventually("standstill", || is_still(&peer.status()));
     // Silent, it stays armed, and follows again.
     peer.ask(&format!("wish {}", TWISTS[0]));
-    eventually("motion", || {
-        (peer.status()["speed"].as_f64()? > 0.02).then_some(())
-    });
+    peer.moves(0.02)
+}
+
+#[test]
+fn what_a_policy_in_ros_wants_loses_no_point_and_its_silence_brakes() {
+    let Some(mut bench) = Bench::guarded("a policy in ROS", 154) else {
+        return;
+    };
+    let follows = bench.peer.tried(follows);
+    assert!(follows, "vpcd disarms");
     let gateway = bench.diagnosed("gateway", |status| status["level"] == json!(0));
     let values = gateway["values"].as_object().unwrap();
     assert!(values.keys().any(|key| key.contains("/wish")), "{gateway}");
