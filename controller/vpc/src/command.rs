@@ -62,8 +62,8 @@ impl Policy<'_> {
         (limit::command(solver, &problem, &solution), solution)
     }
 
-    /// The same towards a wanted twist. Where nothing speaks against that, it is sent to the last
-    /// bit, and nothing is solved.
+    /// The same towards a wanted twist, whose components count up to their limits. Where nothing
+    /// speaks against that, it is sent to the last bit, and nothing is solved.
     pub fn nearest(
         &self,
         solver: &mut Solver<'_>,
@@ -71,9 +71,10 @@ impl Policy<'_> {
         wanted: &Twist,
     ) -> (Twist, Option<Solution>) {
         let goal = &self.task.goal;
+        let wanted = limit::clamp(wanted, &self.task.limits);
         let present = Present {
-            wanted: Some(*wanted),
-            warm: &repeated(&limit::clamp(wanted, &self.task.limits)),
+            wanted: Some(wanted),
+            warm: &repeated(&wanted),
             ..*present
         };
         let problem = self.problem(&present, goal, goal);
@@ -81,8 +82,8 @@ impl Policy<'_> {
             let [least, most] = problem.bounds(k);
             (least..=most).contains(v)
         });
-        if is_inside && solver.is_clear(&problem, &repeated(wanted), 0.0) {
-            return (*wanted, None);
+        if is_inside && solver.is_clear(&problem, &repeated(&wanted), 0.0) {
+            return (wanted, None);
         }
         let (twist, solution) = self.command(solver, &present, goal, goal);
         (twist, Some(solution))

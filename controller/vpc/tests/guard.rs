@@ -189,6 +189,43 @@ fn guarded(limits: Limits) -> Seen {
     seen
 }
 
+/// However much is wanted, the camera does what it would for as much as its limits.
+#[test]
+fn what_is_wanted_beyond_the_limits_counts_up_to_them() {
+    let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    let start = &scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap()[0];
+    let drive = |size: f64| {
+        let settings = Settings {
+            strategy: Strategy::Follow,
+            ..Settings::default()
+        };
+        let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+        let task = law.task().clone();
+        let mut camera = Camera {
+            task: &task,
+            points: task::placed(&task.pattern, start).collect(),
+        };
+        let mut sent = Vec::new();
+        for k in 0..CYCLES {
+            let now_ns = (k as f64 * task.period * 1e9).round() as u64;
+            let measured = Measurement::from_points(&camera.pixels()).taken(now_ns, now_ns);
+            let sign = if k < CYCLES / 2 { 1.0 } else { -1.0 };
+            law.want(Some([size * sign; 6]));
+            let step = law.step(&measured, None).unwrap();
+            assert!(step.status.is_feasible(), "{size}, cycle {k}: {step:?}");
+            law.sent(&step.twist, now_ns);
+            camera.points = camera.after(&step.twist, task.period);
+            sent.push(step.twist);
+        }
+        sent
+    };
+    let most = drive(1.0);
+    assert!(most.iter().filter(|twist| **twist != [0.0; 6]).count() > 20);
+    for size in [500.0, 1e12, 1e160, f64::MAX] {
+        assert_eq!(drive(size), most, "{size}");
+    }
+}
+
 /// Ways around the pattern, on which the camera turns so that it keeps it in sight.
 #[test]
 fn no_twist_leads_to_the_pattern_s_side() {
