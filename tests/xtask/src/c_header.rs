@@ -19,12 +19,13 @@ const FILES: [&str; 10] = [
 const PLAIN: [&str; 3] = ["Status", "Take", "Sent"];
 
 /// Opaque types: generic in Rust, which C cannot say.
-const HANDLES: [&str; 7] = [
+const HANDLES: [&str; 8] = [
     "Domain",
     "Camera",
     "ImagePublisher",
     "ImageSubscriber",
     "Robot",
+    "Policy",
     "Observer",
     "Operator",
 ];

@@ -30,6 +30,7 @@ typedef struct vpc_camera vpc_camera;
 typedef struct vpc_image_publisher vpc_image_publisher;
 typedef struct vpc_image_subscriber vpc_image_subscriber;
 typedef struct vpc_robot vpc_robot;
+typedef struct vpc_policy vpc_policy;
 typedef struct vpc_observer vpc_observer;
 typedef struct vpc_operator vpc_operator;
 
@@ -722,9 +723,6 @@ typedef uint32_t vpc_take;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// What the caller holds a pointer to: a value and the thread that made it.
-typedef struct Handle_Publisher_DesiredTwist Handle_Publisher_DesiredTwist;
-
 // Features that were published, as their answer names them.
 typedef struct {
     // Their sequence number.
@@ -732,9 +730,6 @@ typedef struct {
     // Their time of publication, ns.
     uint64_t published_ns;
 } vpc_sent;
-
-// Publishes wanted twists.
-typedef Handle_Publisher_DesiredTwist Policy;
 
 #ifdef __cplusplus
 extern "C" {
@@ -842,15 +837,15 @@ vpc_status vpc_twist_in_force(const vpc_twist_command *newest, uint64_t now_ns, 
 vpc_status vpc_robot_publish(vpc_robot *robot, const vpc_robot_state *state);
 
 // Opens the policy's port. VPC_STATUS_TAKEN while another policy is at work.
-vpc_status vpc_policy_open(vpc_domain *domain, Policy **out);
+vpc_status vpc_policy_open(vpc_domain *domain, vpc_policy **out);
 
 // Closes the policy's port. NULL does nothing.
-vpc_status vpc_policy_close(Policy *policy);
+vpc_status vpc_policy_close(vpc_policy *policy);
 
 // Publishes the twist that is wanted (6 numbers, m/s and rad/s, camera frame) until the instant
 // `valid_until_ns` (CLOCK_MONOTONIC), but for no more than 0.5 s. With the strategy `follow` vpcd
 // sends the nearest twist that is allowed.
-vpc_status vpc_policy_want(Policy *policy, const double (*twist)[6], uint64_t valid_until_ns);
+vpc_status vpc_policy_want(vpc_policy *policy, const double (*twist)[6], uint64_t valid_until_ns);
 
 // Opens an observer's ports. VPC_STATUS_TAKEN if a service has all the subscribers that it allows.
 vpc_status vpc_observer_open(vpc_domain *domain, vpc_observer **out);

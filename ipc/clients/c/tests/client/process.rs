@@ -1,5 +1,5 @@
 //! Programs in C, compiled with the header and linked with the shared library: layouts, and the
-//! three examples.
+//! examples.
 
 use std::fmt::Write as _;
 use std::mem::offset_of;
@@ -8,8 +8,8 @@ use std::process::{Command, Stdio};
 
 use ipc::{ControllerPorts, Domain, RecorderPort};
 use messages::{
-    Action, CycleRecord, Encoding, Hold, ImageHeader, Outcome, RealTime, Reply, RobotFaults,
-    SERVICES, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
+    Action, CycleRecord, DesiredTwist, Encoding, Hold, ImageHeader, Outcome, RealTime, Reply,
+    RobotFaults, SERVICES, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
 };
 use testkit::{Ended, Place, Running, eventually};
 use vpcclient::camera::Sent;
@@ -234,6 +234,32 @@ fn an_observer_in_c_hears_every_cycle() {
     );
     assert_eq!(said[4], "3 cycles, 1 missed, slowest law 13.5 us");
     assert_eq!(code, Some(0));
+}
+
+#[test]
+fn a_policy_in_c_wants_twists() {
+    if !compiler("a_policy_in_c_wants_twists") {
+        return;
+    }
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut controller = domain.subscriber::<DesiredTwist>(8).unwrap();
+    let mut command = example(&place, "policy.c");
+    command.arg("0.5");
+    let policy = Running::start(command);
+    let mut seen = Vec::new();
+    for number in 0..5 {
+        let next = || controller.oldest().unwrap();
+        let desired = eventually("a wanted twist", next).message;
+        let valid_ns = desired.valid_until_ns - desired.stamp.published_ns;
+        assert!((1..=200_000_000).contains(&valid_ns), "{valid_ns}");
+        let expected = 0.05 * (0.1 * f64::from(number)).sin();
+        assert!((desired.twist[0] - expected).abs() < 1e-12, "{desired:?}");
+        seen.push(desired.stamp.published_ns);
+    }
+    assert!(seen.is_sorted());
+    let Ended { code, stdout, .. } = policy.ended();
+    assert_eq!((code, &*stdout), (Some(0), "5 twists were wanted\n"));
 }
 
 #[test]
