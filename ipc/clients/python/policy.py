@@ -1,9 +1,10 @@
 """Publishes the twists that another program wants: vpcd with `strategy = "follow"` sends the nearest allowed ones.
 
 Each line of standard input is a twist, vx vy vz wx wy wz, in m/s and rad/s, in the camera's frame (x right, y down, z
-forward). It counts for `--valid` seconds; then the camera brakes:
+forward). It counts for `--valid` seconds from when it is read; then the camera brakes. What writes the lines must send
+each at once, not a block of them (`-u` for Python):
 
-    your_policy | python3 policy.py
+    python3 -u your_policy.py | python3 policy.py
 
 With `--pad DEVICE` a gamepad steers: the left stick moves the camera sideways, up and down, the right stick turns it,
 the triggers move it forward and back, and the two shoulder buttons roll it.
@@ -20,6 +21,8 @@ import vpc_client
 # An event of Linux' joystick interface: time, ms; value; kind; number.
 EVENT = struct.Struct("IhBB")
 BUTTON, AXIS = 1, 2
+# What vpcd takes at most, s.
+LONGEST_S = 0.5
 # How often a gamepad's twist is published, s.
 EVERY_S = 1 / 60
 
@@ -74,21 +77,33 @@ def pads(path, linear, angular):
             yield pad.twist(linear, angular)
 
 
+def valid(word):
+    """Seconds for which a twist may count."""
+    seconds = float(word)
+    if not 0 < seconds <= LONGEST_S:
+        raise argparse.ArgumentTypeError(f"{word} s; allowed: above 0, up to {LONGEST_S}")
+    return seconds
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--domain", help="directory of the domain [default: /tmp/vpc-UID]")
-    parser.add_argument("--valid", type=float, default=0.2, help="how long a twist counts, s, up to 0.5 [default: 0.2]")
+    parser.add_argument("--valid", type=valid, default=0.2, help="how long a twist counts, s, up to 0.5 [default: 0.2]")
     parser.add_argument("--pad", metavar="DEVICE", help="a gamepad, for instance /dev/input/js0")
     parser.add_argument("--linear", type=float, default=0.1, help="of a stick that is pushed, m/s [default: 0.1]")
     parser.add_argument("--angular", type=float, default=0.3, help="of a stick that is pushed, rad/s [default: 0.3]")
     options = parser.parse_args()
     wanted = pads(options.pad, options.linear, options.angular) if options.pad else twists(sys.stdin)
     with vpc_client.Domain(options.domain) as domain, domain.publisher("vpc/desired") as publisher:
+        domain.wait_for_controller()
+        print(f"policy: to the vpcd of {domain.directory}; each twist counts for {options.valid} s", file=sys.stderr)
         for twist in wanted:
             desired = vpc_client.DesiredTwist()
             desired.twist[:] = twist
             desired.valid_until_ns = vpc_client.now_ns() + int(1e9 * options.valid)
             publisher.publish(desired)
+        # Before the last one has counted, nobody may have read it.
+        time.sleep(options.valid)
 
 
 if __name__ == "__main__":

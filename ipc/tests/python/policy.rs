@@ -2,11 +2,11 @@
 
 use std::io::Write;
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use ipc::{Domain, now_ns};
-use messages::DesiredTwist;
+use messages::{DesiredTwist, Reply};
 use testkit::python::Environment;
 use testkit::{Ended, Place, Running};
 
@@ -15,13 +15,20 @@ use super::{script, sources};
 /// How long the input stays open.
 const REST: Duration = Duration::from_secs(1);
 
+/// The program.
+fn policy(python: &Path) -> Command {
+    let mut policy = script(python, "clients/python/policy.py");
+    policy.env("PYTHONPATH", sources("clients/python"));
+    policy
+}
+
 /// Runs it with these arguments on this input; its end, and what it wanted.
 fn wanted(python: &Path, arguments: &[&str], input: &[u8]) -> (Ended, Vec<DesiredTwist>) {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = domain.subscriber::<DesiredTwist>(64).unwrap();
-    let mut policy = script(python, "clients/python/policy.py");
-    policy.env("PYTHONPATH", sources("clients/python"));
+    let _replies = domain.publisher::<Reply>().unwrap();
+    let mut policy = policy(python);
     policy.arg("--domain").arg(place.domain()).args(arguments);
     policy.stdout(Stdio::piped()).stderr(Stdio::piped());
     let (reader, mut writer) = std::io::pipe().unwrap();
@@ -51,6 +58,15 @@ fn a_policy_in_python_says_what_it_wants() {
     let Some(python) = Environment::CLIENT.python("a_policy_in_python_says_what_it_wants") else {
         return;
     };
+    let place = Place::new();
+    let mut alone = policy(&python);
+    alone.arg("--domain").arg(place.domain());
+    let alone = Running::start(alone.stderr(Stdio::piped())).ended();
+    assert_eq!(alone.code, Some(1), "{alone:?}");
+    assert!(
+        alone.stderr.contains("start vpcd in this domain"),
+        "{alone:?}"
+    );
     let (ended, seen) = wanted(&python, &[], b"0.1 0 -0.2 0 0 0.5\n1 2 3 4 5 6\n");
     assert_eq!(ended.code, Some(0), "{ended:?}");
     let twists: Vec<_> = seen.iter().map(|desired| desired.twist).collect();
@@ -71,6 +87,11 @@ fn a_policy_in_python_says_what_it_wants() {
         assert_eq!((ended.code, seen.len()), (Some(1), 0), "{ended:?}");
         assert!(ended.stderr.contains(word), "{ended:?}");
     }
+    let (ended, _) = wanted(&python, &["--valid", "0.6"], b"");
+    assert!(
+        ended.stderr.contains("allowed: above 0, up to 0.5"),
+        "{ended:?}"
+    );
     // The left stick to the right, the right trigger pulled, a shoulder button; then it rests.
     let events = [event(32767, 2, 0), event(32767, 2, 5), event(1, 1, 5)].concat();
     let pad = ["--pad", "/dev/stdin", "--linear", "0.2", "--angular", "0.4"];
