@@ -140,10 +140,19 @@ impl Stage {
     }
 }
 
+/// How a first guess leaves the straight way in its middle: where the pattern is then, in the
+/// camera frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Detour {
+    /// Its shift, m.
+    pub aside: [f64; 3],
+    /// Its turn about the camera, an axis times an angle, rad.
+    pub turn: [f64; 3],
+}
+
 impl Course<'_> {
-    /// A first guess: screws to the goal at full speed, over a place `aside` of the middle of the
-    /// straight way, m in the camera frame.
-    pub fn guess(&self, aside: [f64; 3], way: &mut [Twist]) {
+    /// A first guess: screws to the goal at full speed, by a detour.
+    pub(crate) fn guess(&self, detour: &Detour, way: &mut [Twist]) {
         way.fill([0.0; DOF]);
         let goal = Motion {
             rotation: rotation(self.task.goal_pose.rotation),
@@ -152,7 +161,8 @@ impl Course<'_> {
         let whole = self.start.inverse().then(&goal).logarithm();
         let half = Motion::of_camera(&(whole * -0.5).into(), 1.0);
         let mut middle = self.start.then(&half);
-        middle.translation += Vector3::from(aside);
+        middle.rotation = rotation(detour.turn) * middle.rotation;
+        middle.translation += Vector3::from(detour.aside);
         let (mut from, mut left) = (self.start, way);
         for to in [middle, goal] {
             let tau = from.inverse().then(&to).logarithm();
