@@ -61,7 +61,7 @@ impl Daemon {
     }
 
     /// Puts these files in the places of the daemon's, and waits until it has begun again,
-    /// disarmed. What was there stays beside, as `*.before`, where `keeps` says so.
+    /// disarmed. What was there is kept where `keeps` says so: see [`keep`].
     ///
     /// # Errors
     /// A file is wrong or cannot be moved, `stop` was set, or the daemon does not take them: then
@@ -84,13 +84,10 @@ impl Daemon {
                 let message = format!("{}: a link; allowed: the file itself", old.display());
                 return Err(Failure::new(Exit::Refused, message));
             }
-            let suffixes = [Some(UNDO), keeps.then_some(BEFORE)];
-            for kept in suffixes
-                .into_iter()
-                .flatten()
-                .map(|suffix| with_suffix(old, suffix))
-            {
-                fs::copy(old, &kept).map_err(Failure::write(&kept))?;
+            let undo = with_suffix(old, UNDO);
+            fs::copy(old, &undo).map_err(Failure::write(&undo))?;
+            if keeps {
+                keep(old)?;
             }
             fs::set_permissions(new, found.permissions()).map_err(Failure::write(new))?;
         }
@@ -159,6 +156,41 @@ pub fn turn(directory: &Path) -> Result<fs::File, Failure> {
     }
 }
 
+/// Keeps what is in a file, as `*.before`, or `*.before.2` and so on where that is something else;
+/// unless it stands in a file of the same folder already.
+fn keep(file: &Path) -> Result<(), Failure> {
+    let content = fs::read(file)?;
+    let is_kept = |other: PathBuf| {
+        let undo = with_suffix(file, UNDO);
+        let is_long = |found: fs::Metadata| found.is_file() && found.len() == content.len() as u64;
+        ![file, &undo].contains(&&*other)
+            // No link, which may lead to the file itself.
+            && fs::symlink_metadata(&other).is_ok_and(is_long)
+            && fs::read(&other).is_ok_and(|there| there == content)
+    };
+    let folder = match file.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    };
+    let mut others = fs::read_dir(folder)?.map_while(Result::ok);
+    if others.any(|other| is_kept(folder.join(other.file_name()))) {
+        return Ok(());
+    }
+    let first = with_suffix(file, BEFORE);
+    let further = (2..).map(|number| with_suffix(&first, &format!(".{number}")));
+    for kept in std::iter::once(first.clone()).chain(further) {
+        match fs::File::create_new(&kept) {
+            Ok(_) => {
+                fs::copy(file, &kept).map_err(Failure::write(&kept))?;
+                return Ok(());
+            }
+            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => (),
+            Err(error) => return Err(Failure::write(&kept)(error)),
+        }
+    }
+    Ok(())
+}
+
 /// The path with this after its last letter.
 pub fn with_suffix(path: &Path, suffix: &str) -> PathBuf {
     let mut name = OsString::from(path);
@@ -191,4 +223,28 @@ pub fn build(scene: &Path, memory: &Path) -> Result<(), Failure> {
     }
     let message = format!("{BUILDER} build {}: {status}", scene.display());
     Err(Failure::new(Exit::Software, message))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_that_was_there_is_lost_and_nothing_is_kept_twice() {
+        let place = tempfile::tempdir().unwrap();
+        let path = |name: &str| place.path().join(name);
+        let file = path("own.toml");
+        for content in ["first", "second", "first", "shelf"] {
+            fs::write(&file, content).unwrap();
+            if content == "shelf" {
+                fs::write(path("shelf.toml"), content).unwrap();
+            }
+            fs::write(with_suffix(&file, UNDO), content).unwrap();
+            let _ = std::os::unix::fs::symlink(&file, path("link.toml"));
+            keep(&file).unwrap();
+        }
+        assert_eq!(fs::read(path("own.toml.before")).unwrap(), b"first");
+        assert_eq!(fs::read(path("own.toml.before.2")).unwrap(), b"second");
+        assert_eq!(fs::read_dir(place.path()).unwrap().count(), 6);
+    }
 }

@@ -263,7 +263,7 @@ impl Status {
     fn cycle_text(&self, last: &CycleRecord, strategy: &str, colours: bool) -> String {
         let view = &self.view;
         let target = match last.way_point_count {
-            _ if last.strategy == StrategyCode::Follow.code() => "wanted twist",
+            _ if is_following(last) => "wanted twist",
             0 => "goal",
             _ => "way point",
         };
@@ -317,13 +317,20 @@ times     {:>9}{:>10}{:>10}\n",
             _ => format!("{count} points, {age} old, error {error}, clearance {clearance}"),
         };
         let (solver, steps) = (word(SolverStatus::from_code(last.status)), last.iterations);
-        let [vx, vy, vz, wx, wy, wz] = last.twist;
+        let wanted = match is_following(last) {
+            true if last.twist == last.desired => {
+                format!("wanted    {}: sent as it is\n", twist(&last.desired))
+            }
+            true => format!("wanted    {}\n", twist(&last.desired)),
+            false => String::new(),
+        };
+        let sent = twist(&last.twist);
         text += &format!(
             "deadline  {overruns} overruns, {lost} records lost, {missed} missed here
 real time {realtime}; {faults} page faults, {blocked} blocked, {heap} heap calls
 features  {features}
 solver    {solver}, {steps} iterations
-twist     {vx:+.3} {vy:+.3} {vz:+.3} m/s, {wx:+.3} {wy:+.3} {wz:+.3} rad/s\n{stops}"
+{wanted}twist     {sent}\n{stops}"
         );
         text
     }
@@ -347,6 +354,16 @@ pub async fn keep(
         then(watcher);
         tokio::time::sleep(pause).await;
     }
+}
+
+/// Whether another program wants the twists.
+fn is_following(last: &CycleRecord) -> bool {
+    last.strategy == StrategyCode::Follow.code()
+}
+
+/// A twist in words.
+fn twist([vx, vy, vz, wx, wy, wz]: &[f64; 6]) -> String {
+    format!("{vx:+.3} {vy:+.3} {vz:+.3} m/s, {wx:+.3} {wy:+.3} {wz:+.3} rad/s")
 }
 
 /// Percentiles of each of [`STAGES`].
@@ -387,6 +404,7 @@ fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
         "arrival_s": last.arrival_s.is_finite().then_some(last.arrival_s),
         "error_px": last.error_px,
         "clearance_px": last.clearance_px,
+        "wanted": is_following(last).then_some(last.desired),
         "twist": last.twist,
     })
 }
@@ -411,6 +429,28 @@ mod tests {
         status.view.cycle(&Received { message, order });
         status.now_ns = message.stamp.published_ns + silence_ns;
         status
+    }
+
+    #[test]
+    fn what_another_program_wants_is_told_beside_what_is_sent() {
+        let mut status = status(TwistState::Moving, None, 0);
+        assert!(!status.text(false).contains("wanted"));
+        let mut record = record(6, TwistState::Moving, None);
+        record.strategy = StrategyCode::Follow.code();
+        for (sent, words) in [
+            (0.1, "+0.000 rad/s: sent as it is"),
+            (0.05, "+0.000 rad/s\n"),
+        ] {
+            (record.desired[0], record.twist[0]) = (0.1, sent);
+            let order = Order::First;
+            let message = record;
+            status.view.cycle(&Received { message, order });
+            let text = status.text(false);
+            let line = text
+                .split_inclusive('\n')
+                .find(|line| line.starts_with("wanted"));
+            assert!(line.unwrap().contains(words), "{text}");
+        }
     }
 
     #[test]
