@@ -179,8 +179,8 @@ impl Memory {
         Ok(memory)
     }
 
-    /// Writes the memory to a file, which `vpcd` takes; one of this name is replaced. Raises
-    /// OSError.
+    /// Writes the memory to a file, which `vpcd` takes; one of this name is replaced, a folder that
+    /// is missing is made. Raises OSError.
     fn save(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         py.detach(|| program::replace(&path, &self.bytes))
             .map_err(|source| {

@@ -146,6 +146,20 @@ impl Scene {
         (camera.width, camera.height)
     }
 
+    /// Focal lengths fx and fy, px.
+    #[getter]
+    fn focal(&self) -> (f64, f64) {
+        let camera = &self.scene.camera;
+        (camera.fx, camera.fy)
+    }
+
+    /// Principal point cx and cy, px.
+    #[getter]
+    fn center(&self) -> (f64, f64) {
+        let camera = &self.scene.camera;
+        (camera.cx, camera.cy)
+    }
+
     /// Rate of the camera, Hz.
     #[getter]
     fn rate_hz(&self) -> f64 {

@@ -19,7 +19,7 @@ pub struct Tables {
     #[schemars(extend("x-allowed" = "a file; also by --scene"))]
     pub scene: PathBuf,
     /// The memory of motion that `vpc-memory build` made for exactly this scene. knn and gpr need
-    /// one; foresight finds far more ways with one. Flag: --memory.
+    /// one; foresight mostly does without. Flag: --memory.
     pub memory: Option<PathBuf>,
     #[serde(default = "Settings::daemon")]
     pub law: Settings,
