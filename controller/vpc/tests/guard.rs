@@ -102,13 +102,18 @@ struct Seen {
     steepest: f64,
 }
 
-/// Guards a camera against random twists from a start.
-fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
+/// The law that guards.
+fn guardian(scene: &Scene) -> Law<Vec<f64>> {
     let settings = Settings {
         strategy: Strategy::Follow,
         ..Settings::default()
     };
-    let mut law = Law::new(scene, settings, |len| vec![0.0; len]).unwrap();
+    Law::new(scene, settings, |len| vec![0.0; len]).unwrap()
+}
+
+/// Guards a camera against random twists from a start.
+fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
+    let mut law = guardian(scene);
     let task = law.task().clone();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (mut standing, mut before) = ([0.0; 6], task.limits);
@@ -195,11 +200,7 @@ fn what_is_wanted_beyond_the_limits_counts_up_to_them() {
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     let start = &scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap()[0];
     let drive = |size: f64| {
-        let settings = Settings {
-            strategy: Strategy::Follow,
-            ..Settings::default()
-        };
-        let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+        let mut law = guardian(&scene);
         let task = law.task().clone();
         let mut camera = Camera {
             task: &task,
@@ -236,11 +237,7 @@ fn no_twist_leads_to_the_pattern_s_side() {
         scene.limits.angular_acceleration = acceleration.map(|most| 2.0 * most);
         for way in 0..16_u32 {
             let (sin, cos) = (f64::from(way) * std::f64::consts::TAU / 16.0).sin_cos();
-            let settings = Settings {
-                strategy: Strategy::Follow,
-                ..Settings::default()
-            };
-            let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
+            let mut law = guardian(&scene);
             let task = law.task().clone();
             let mut camera = Camera {
                 task: &task,
