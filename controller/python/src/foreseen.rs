@@ -90,6 +90,8 @@ impl Foreseen {
             steps,
             ..
         } = self;
-        format!("Foreseen({outcome:?}, cost={cost:?}, steps={steps:?})")
+        let number = |x: &Option<f64>| x.map_or("None".to_owned(), |x| x.to_string());
+        let (cost, steps) = (number(cost), number(steps));
+        format!("Foreseen({outcome:?}, cost={cost}, steps={steps})")
     }
 }

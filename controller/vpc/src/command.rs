@@ -6,10 +6,10 @@ use crate::cost;
 use crate::limit;
 use crate::prediction::{InitialState, Plan, repeated};
 use crate::problem::{Problem, Solution};
-use crate::row::Row;
 use crate::settings::Settings;
 use crate::solver::Solver;
 use crate::task::Task;
+use crate::view::View;
 use crate::{DOF, MAX_NP, Points, Twist, ibvs};
 
 /// Least window where the camera takes time to brake, s, unless a stop from the limits is shorter.
@@ -32,7 +32,7 @@ pub(crate) struct Present<'a> {
     /// What the arm allows of a command that is in force for `interval`, where it is known.
     pub dampers: Option<&'a Dampers>,
     /// What keeps the camera in front of the pattern.
-    pub view: Option<Row>,
+    pub view: Option<View>,
     /// A wanted twist: the command is as near to it as it may be, and does not aim at the target.
     pub wanted: Option<Twist>,
 }

@@ -146,7 +146,7 @@ impl Stage {
 pub(crate) struct Detour {
     /// Its shift, m.
     pub aside: [f64; 3],
-    /// Its turn about the camera, an axis times an angle, rad.
+    /// Its turn about its own origin, an axis of the camera times an angle, rad.
     pub turn: [f64; 3],
 }
 

@@ -27,11 +27,10 @@ use crate::solver::{Size, Solver};
 use crate::state::State;
 use crate::strategy::Strategy;
 use crate::task::{Task, TaskError};
+use crate::view::View;
 use crate::way::Way;
 use crate::work::Prices;
-use crate::{
-    DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit, view,
-};
+use crate::{DOF, MAX_VARIABLES, Points, Twist, arm, blind, follow, frozen, gate, ibvs, limit};
 
 /// What a step proposed.
 #[derive(Clone, Copy)]
@@ -1037,8 +1036,8 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     }
 
     /// The nearest allowed twist to the wanted one; that itself, to the last bit, where it is
-    /// allowed. The constraints are those of the other strategies, the cost is
-    /// (v - v_d)' R (v - v_d), and no goal counts.
+    /// allowed. The constraints are those of the other strategies, and the camera stays in front of
+    /// the pattern; the cost is (v - v_d)' R (v - v_d), and no goal counts.
     fn guard(&mut self, initial: &InitialState, dampers: Option<&Dampers>, step: &mut Step) {
         let present = Present {
             initial,
@@ -1047,7 +1046,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             warm: &self.state.previous,
             extra_px: self.back_off_px(initial) + SPARE_PX,
             dampers,
-            view: view::bound(&self.task, initial, &self.state.standing),
+            view: View::new(&self.task, initial, &self.state.standing, dampers),
             wanted: None,
         };
         let policy = Policy {

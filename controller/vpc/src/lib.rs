@@ -101,7 +101,7 @@ mod sqp;
 pub mod state;
 pub mod strategy;
 pub mod task;
-mod view;
+pub mod view;
 pub mod way;
 pub mod work;
 mod workspace;

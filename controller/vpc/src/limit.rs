@@ -18,7 +18,8 @@ pub const SLACK: f64 = 0.25;
 pub fn command(solver: &mut Solver<'_>, problem: &Problem<'_>, solution: &Solution) -> Twist {
     let braking = problem.braking();
     let mut plan = solution.plan;
-    let mut is_clear = solution.violation_px <= SLACK;
+    // The solution is within the bounds of a view, which are linear: the check is not.
+    let mut is_clear = solution.violation_px <= SLACK && problem.view.is_none();
     for _ in 0..HALVINGS {
         if is_clear || solver.is_clear(problem, &plan, SLACK) {
             return first(&plan, problem);

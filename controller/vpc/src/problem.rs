@@ -8,6 +8,7 @@ use crate::prediction::{InitialState, Plan, repeated};
 use crate::row::Row;
 use crate::span::Span;
 use crate::task::Task;
+use crate::view::View;
 use crate::{DOF, MAX_VARIABLES, Points, Twist, arm};
 
 /// When the solver stops.
@@ -45,7 +46,7 @@ pub struct Problem<'a> {
     /// What the arm allows, where it is known, and what a posture that it goes to wants.
     pub dampers: Option<&'a Dampers>,
     /// What keeps the camera in front of the pattern, where that is asked for.
-    pub view: Option<Row>,
+    pub view: Option<View>,
     /// A wanted twist: the plan goes as near to it as it may, and not to the target.
     pub wanted: Option<Twist>,
     /// Steps of the window in which clearances count.
@@ -88,15 +89,13 @@ impl Problem<'_> {
 
     /// The linear bounds on each command.
     pub(crate) fn rows(&self) -> impl Iterator<Item = Row> {
-        self.dampers
-            .into_iter()
-            .flat_map(arm::rows)
-            .chain(self.view)
+        let of_arm = self.dampers.into_iter().flat_map(arm::rows);
+        of_arm.chain(self.view.iter().flat_map(View::rows))
     }
 
     /// By how much a command is beyond them, px: each.
     pub(crate) fn violations_px(&self, twist: &Twist) -> impl Iterator<Item = f64> {
-        self.rows().map(|row| (-row.clearance_px(twist)).max(0.0))
+        self.rows().map(|row| row.violation_px(twist))
     }
 
     /// Least and greatest value of the k-th variable of a plan: inside the velocity limits, and no

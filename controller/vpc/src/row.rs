@@ -6,6 +6,11 @@ use crate::{DOF, Twist};
 /// image.
 const PX: f64 = 1000.0;
 
+/// By how much a command is beyond the worst of these rows, px; 0 where it is within all.
+pub(crate) fn beyond_px(rows: impl Iterator<Item = Row>, twist: &Twist) -> f64 {
+    rows.fold(0.0, |most, row| most.max(row.violation_px(twist)))
+}
+
 /// A row g v <= b of a command.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Row {
@@ -20,6 +25,11 @@ impl Row {
     pub(crate) fn clearance_px(&self, twist: &Twist) -> f64 {
         let pairs = self.gradient.iter().zip(twist);
         PX * (self.most - pairs.map(|(g, v)| g * v).sum::<f64>())
+    }
+
+    /// How far a command is beyond it, px.
+    pub(crate) fn violation_px(&self, twist: &Twist) -> f64 {
+        (-self.clearance_px(twist)).max(0.0)
     }
 
     /// The derivative of [`Row::clearance_px`] by the command.

@@ -27,10 +27,12 @@ use crate::intersample::{Intersample, NEAR_PX};
 use crate::prediction::{Plan, Preview};
 use crate::problem::{Problem, Solution, SolverOptions, Status};
 use crate::qp::{ActiveSet, Answer, QpStatus, Quadratic, Rows};
+use crate::row::beyond_px;
 use crate::size::Size;
+use crate::view::View;
 use crate::work::Prices;
 use crate::workspace::Workspace;
-use crate::{DOF, MAX_VARIABLES, Twist};
+use crate::{DOF, MAX_VARIABLES, Twist, arm};
 
 /// Halvings of a step before the line search gives up.
 const MAX_HALVINGS: usize = 8;
@@ -74,10 +76,10 @@ struct Iterate<const N: usize> {
 }
 
 /// The clearance that a row linearises: of which point in which step, from which of the
-/// [borders](constraint::border); or the damper of a free command.
+/// [borders](constraint::border); or the linear bound on a free command.
 #[derive(Clone, Copy, Debug)]
 struct Source {
-    /// 0 is the first; [`INSIDE`] the deepest place on the way of the first command; [`DAMPER`]
+    /// 0 is the first; [`INSIDE`] the deepest place on the way of the first command; [`LINEAR`]
     /// none.
     step: usize,
     point: usize,
@@ -103,8 +105,8 @@ impl Source {
 /// The "step" of a row for a place on the way of the first command.
 const INSIDE: usize = 255;
 
-/// The "step" of a damper's row, which is exact.
-const DAMPER: usize = 254;
+/// The "step" of a linear bound on a command, which is exact.
+const LINEAR: usize = 254;
 
 /// How far the present solution has come.
 #[derive(Clone, Copy, Debug, Default)]
@@ -187,10 +189,13 @@ impl<'w, const N: usize> Sqp<'w, N> {
         let (pixels, radii) = (initial.explained(task), initial.radii(task));
         let begins = pixels.into_iter().zip(radii);
         let begins = begins.map(|(pixel, radius)| Place { pixel, radius });
-        // Braking is always possible: no command may be further beyond the rows than it.
-        let most = |twist: &Twist| problem.violations_px(twist).fold(0.0, f64::max);
-        let beyond = most(&first_command(&plan));
-        if beyond > slack && beyond > most(&problem.braking()) {
+        // Braking is always possible: no command may be further beyond the arm's rows than it, or
+        // lead further to the pattern's side.
+        let (command, braking) = (first_command(&plan), problem.braking());
+        let of_arm = || problem.dampers.into_iter().flat_map(arm::rows);
+        let [beyond, anyway] = [&command, &braking].map(|twist| beyond_px(of_arm(), twist));
+        let is_left = |view: &View| view.is_left_by(&command, &braking, slack);
+        if beyond > anyway.max(slack) || problem.view.as_ref().is_some_and(is_left) {
             return false;
         }
         let (mut is_clear, mut sums, mut worst) = (true, [0.0; 2], [0.0_f64; 2]);
@@ -316,7 +321,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
     }
 
     /// Collects the rows that a step inside its bounds can reach: no other linearised clearance can
-    /// be used up. Dampers and those on the way of the first command come first; rows past the
+    /// be used up. Linear ones and those on the way of the first command come first; rows past the
     /// store's end belong to the last steps of the window, which the next cycles see again.
     fn collect_rows(&mut self, problem: &Problem<'_>, plan: &[f64; N], bounds: &Quadratic<N>) {
         self.rows.clear();
@@ -349,7 +354,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
                 });
                 let distance = row.clearance_px(twist);
                 if distance < greatest(&gradient.map(|g| -g), bounds) {
-                    add(DAMPER, command, index, distance, gradient);
+                    add(LINEAR, command, index, distance, gradient);
                 }
             }
         }
@@ -485,7 +490,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
                 point,
                 border,
             } = Source::read(source);
-            let Some(border) = constraint::border(task, border).filter(|_| step != DAMPER) else {
+            let Some(border) = constraint::border(task, border).filter(|_| step != LINEAR) else {
                 continue;
             };
             let found = if step == INSIDE {

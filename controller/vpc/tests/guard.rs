@@ -18,8 +18,8 @@ const DEEPEST_PX: f64 = 0.25;
 /// because the pattern may move, at most, and a little more.
 const FAR_PX: f64 = 18.0;
 
-/// The least sine of the angle between the line of sight and the pattern's plane: of 15 degrees, less
-/// what a command changes within a period. And that from which the law lets every twist pass.
+/// The least sine of the angle between the line of sight and the pattern's plane: of 15 degrees,
+/// less what a command changes within a period. And that from which the law lets every twist pass.
 const FROM_FRONT: f64 = 0.255;
 const FRONTAL: f64 = 0.56;
 
@@ -227,45 +227,73 @@ fn what_is_wanted_beyond_the_limits_counts_up_to_them() {
     }
 }
 
-/// Ways around the pattern, on which the camera turns so that it keeps it in sight.
+/// The lowest view on a way around the pattern in this direction, rad, on which the camera turns so
+/// that it keeps it in sight; with noise, px.
+fn lowest(scene: &Scene, direction: f64, noise_px: f64) -> f64 {
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let mut law = guardian(scene);
+    let task = law.task().clone();
+    let mut camera = Camera {
+        task: &task,
+        points: task::placed(&task.pattern, &scene.goal).collect(),
+    };
+    let (sin, cos) = direction.sin_cos();
+    let mut lowest = 1.0_f64;
+    for k in 0..(10.0 / task.period) as u64 {
+        let now_ns = (k as f64 * task.period * 1e9).round() as u64;
+        let mut noise = || noise_px * 3.0_f64.sqrt() * (2.0 * random.random::<f64>() - 1.0);
+        let pixels = camera
+            .pixels()
+            .into_iter()
+            .map(|pixel| pixel.map(|x| x + noise()));
+        let measured = Measurement::from_points(&pixels.collect::<Vec<_>>()).taken(now_ns, now_ns);
+        let middle = camera.points.iter().sum::<Vector3<f64>>() / 4.0;
+        let (x, y) = (middle.x / middle.z, middle.y / middle.z);
+        let (speed, turn, aim) = (0.4, 0.4 / middle.norm(), 2.0);
+        law.want(Some([
+            speed * cos,
+            speed * sin,
+            0.0,
+            turn * sin - aim * y,
+            aim * x - turn * cos,
+            0.0,
+        ]));
+        let step = law.step(&measured, None);
+        let step = step.unwrap_or_else(|why| panic!("{direction} rad, cycle {k}: {why}"));
+        law.sent(&step.twist, now_ns);
+        camera.points = camera.after(&step.twist, task.period);
+        lowest = lowest.min(sine(&camera.points));
+    }
+    lowest
+}
+
 #[test]
 fn no_twist_leads_to_the_pattern_s_side() {
     let mut scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     scene.occlusions.clear();
-    for acceleration in [None, Some(0.5), Some(2.0)] {
+    let small = scene.pattern.iter().map(|p| p.map(|x| 0.2 * x)).collect();
+    let cases = [
+        (30.0, &scene.pattern, 0.0, None),
+        (30.0, &scene.pattern, 0.0, Some(0.5)),
+        (30.0, &scene.pattern, 0.0, Some(2.0)),
+        (5.0, &scene.pattern, 0.0, None),
+        (30.0, &small, 0.3, None),
+    ];
+    for (rate_hz, pattern, noise_px, acceleration) in cases {
+        let mut scene = scene.clone();
+        (scene.camera.rate_hz, scene.pattern) = (rate_hz, pattern.clone());
         scene.limits.linear_acceleration = acceleration;
         scene.limits.angular_acceleration = acceleration.map(|most| 2.0 * most);
-        for way in 0..16_u32 {
-            let (sin, cos) = (f64::from(way) * std::f64::consts::TAU / 16.0).sin_cos();
-            let mut law = guardian(&scene);
-            let task = law.task().clone();
-            let mut camera = Camera {
-                task: &task,
-                points: task::placed(&task.pattern, &scene.goal).collect(),
-            };
-            let mut lowest = 1.0_f64;
-            for k in 0..CYCLES * 3 {
-                let now_ns = (k as f64 * task.period * 1e9).round() as u64;
-                let measured = Measurement::from_points(&camera.pixels()).taken(now_ns, now_ns);
-                let middle = camera.points.iter().sum::<Vector3<f64>>() / 4.0;
-                let (x, y) = (middle.x / middle.z, middle.y / middle.z);
-                let (speed, turn, aim) = (0.4, 0.4 / middle.norm(), 2.0);
-                law.want(Some([
-                    speed * cos,
-                    speed * sin,
-                    0.0,
-                    turn * sin - aim * y,
-                    aim * x - turn * cos,
-                    0.0,
-                ]));
-                let step = law.step(&measured, None);
-                let step = step.unwrap_or_else(|why| panic!("{acceleration:?}, way {way}: {why}"));
-                law.sent(&step.twist, now_ns);
-                camera.points = camera.after(&step.twist, task.period);
-                lowest = lowest.min(sine(&camera.points));
-            }
-            // As far as it may.
-            assert!((FROM_FRONT..0.3).contains(&lowest), "{way}: {lowest}");
+        for way in 0..16 {
+            let direction = f64::from(way) * std::f64::consts::TAU / 16.0;
+            let lowest = lowest(&scene, direction, noise_px);
+            // As far as it may, but for what the law does not know of the pose.
+            let is_exact = rate_hz > 10.0 && noise_px == 0.0;
+            let least = if is_exact { FROM_FRONT } else { 0.2 };
+            assert!(
+                (least..0.35).contains(&lowest),
+                "{rate_hz} Hz, {noise_px} px, {acceleration:?}, {direction} rad: {lowest}"
+            );
         }
     }
 }

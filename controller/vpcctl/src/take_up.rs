@@ -3,6 +3,7 @@
 
 use std::ffi::OsString;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -22,6 +23,8 @@ const BUILDER: &str = "vpc-memory";
 const BEFORE: &str = ".before";
 /// And of those that are taken back where the daemon does not take the new ones.
 const UNDO: &str = ".undo";
+/// Ends of the names of files that are moved away.
+const PASSING: [&str; 4] = ["undo", "next", "taught", "partial"];
 /// How long a daemon may check the files, brake and begin again.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Between two looks.
@@ -87,7 +90,7 @@ impl Daemon {
             let undo = with_suffix(old, UNDO);
             fs::copy(old, &undo).map_err(Failure::write(&undo))?;
             if keeps {
-                keep(old)?;
+                keep(old).map_err(|error| Failure::write(old)(error))?;
             }
             fs::set_permissions(new, found.permissions()).map_err(Failure::write(new))?;
         }
@@ -157,13 +160,15 @@ pub fn turn(directory: &Path) -> Result<fs::File, Failure> {
 }
 
 /// Keeps what is in a file, as `*.before`, or `*.before.2` and so on where that is something else;
-/// unless it stands in a file of the same folder already.
-fn keep(file: &Path) -> Result<(), Failure> {
+/// unless it stands in a file of the same folder already that nobody will move away.
+fn keep(file: &Path) -> io::Result<()> {
     let content = fs::read(file)?;
     let is_kept = |other: PathBuf| {
-        let undo = with_suffix(file, UNDO);
+        let extension = other.extension().and_then(|extension| extension.to_str());
+        let is_lasting = extension.is_none_or(|extension| !PASSING.contains(&extension));
         let is_long = |found: fs::Metadata| found.is_file() && found.len() == content.len() as u64;
-        ![file, &undo].contains(&&*other)
+        is_lasting
+            && other != file
             // No link, which may lead to the file itself.
             && fs::symlink_metadata(&other).is_ok_and(is_long)
             && fs::read(&other).is_ok_and(|there| there == content)
@@ -172,7 +177,8 @@ fn keep(file: &Path) -> Result<(), Failure> {
         Some(folder) if folder != Path::new("") => folder,
         _ => Path::new("."),
     };
-    let mut others = fs::read_dir(folder)?.map_while(Result::ok);
+    let others = fs::read_dir(folder).into_iter().flatten();
+    let mut others = others.map_while(Result::ok);
     if others.any(|other| is_kept(folder.join(other.file_name()))) {
         return Ok(());
     }
@@ -181,11 +187,14 @@ fn keep(file: &Path) -> Result<(), Failure> {
     for kept in std::iter::once(first.clone()).chain(further) {
         match fs::File::create_new(&kept) {
             Ok(_) => {
-                fs::copy(file, &kept).map_err(Failure::write(&kept))?;
-                return Ok(());
+                return fs::copy(file, &kept).map(|_| ()).or_else(|error| {
+                    // No half of it, which somebody may take for all.
+                    fs::remove_file(&kept)?;
+                    Err(error)
+                });
             }
-            Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists => (),
-            Err(error) => return Err(Failure::write(&kept)(error)),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => (),
+            Err(error) => return Err(error),
         }
     }
     Ok(())
@@ -239,12 +248,14 @@ mod tests {
             if content == "shelf" {
                 fs::write(path("shelf.toml"), content).unwrap();
             }
-            fs::write(with_suffix(&file, UNDO), content).unwrap();
+            for passing in [UNDO, ".next"] {
+                fs::write(with_suffix(&file, passing), content).unwrap();
+            }
             let _ = std::os::unix::fs::symlink(&file, path("link.toml"));
             keep(&file).unwrap();
         }
         assert_eq!(fs::read(path("own.toml.before")).unwrap(), b"first");
         assert_eq!(fs::read(path("own.toml.before.2")).unwrap(), b"second");
-        assert_eq!(fs::read_dir(place.path()).unwrap().count(), 6);
+        assert_eq!(fs::read_dir(place.path()).unwrap().count(), 7);
     }
 }

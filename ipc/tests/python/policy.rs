@@ -42,7 +42,10 @@ fn wanted(python: &Path, arguments: &[&str], input: &[u8]) -> (Ended, Vec<Desire
         std::thread::sleep(Duration::from_millis(1));
     }
     drop((policy, writer));
-    (running.ended(), seen)
+    let ended = running.ended();
+    let rest = std::iter::from_fn(|| controller.oldest().unwrap());
+    seen.extend(rest.map(|desired| desired.message));
+    (ended, seen)
 }
 
 /// An event of a gamepad.
@@ -88,6 +91,7 @@ fn a_policy_in_python_says_what_it_wants() {
         assert!(ended.stderr.contains(word), "{ended:?}");
     }
     let (ended, _) = wanted(&python, &["--valid", "0.6"], b"");
+    assert_eq!(ended.code, Some(2), "{ended:?}");
     assert!(
         ended.stderr.contains("allowed: above 0, up to 0.5"),
         "{ended:?}"

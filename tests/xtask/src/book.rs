@@ -20,7 +20,7 @@ const PARTS: &[(&str, &[(&str, &str)])] = &[
     (
         "Start",
         &[
-            ("vpcd in five minutes", "README.md"),
+            ("vpcd, a first run", "README.md"),
             ("Your own task", "memory-blob/GUIDE.md"),
         ],
     ),

@@ -317,12 +317,13 @@ times     {:>9}{:>10}{:>10}\n",
             _ => format!("{count} points, {age} old, error {error}, clearance {clearance}"),
         };
         let (solver, steps) = (word(SolverStatus::from_code(last.status)), last.iterations);
-        let wanted = match is_following(last) {
-            true if last.twist == last.desired => {
-                format!("wanted    {}: sent as it is\n", twist(&last.desired))
+        let is_moving = last.state == TwistState::Moving.code();
+        let wanted = match wanted(last) {
+            Some(wanted) if is_moving && last.twist == *wanted => {
+                format!("wanted    {}: sent as it is\n", twist(wanted))
             }
-            true => format!("wanted    {}\n", twist(&last.desired)),
-            false => String::new(),
+            Some(wanted) => format!("wanted    {}\n", twist(wanted)),
+            None => String::new(),
         };
         let sent = twist(&last.twist);
         text += &format!(
@@ -359,6 +360,12 @@ pub async fn keep(
 /// Whether another program wants the twists.
 fn is_following(last: &CycleRecord) -> bool {
     last.strategy == StrategyCode::Follow.code()
+}
+
+/// The twist that it wants, if it wants one.
+fn wanted(last: &CycleRecord) -> Option<&[f64; 6]> {
+    let is_silent = last.hold == Hold::Unwanted.code();
+    (is_following(last) && !is_silent).then_some(&last.desired)
 }
 
 /// A twist in words.
@@ -404,7 +411,7 @@ fn cycles(last: &CycleRecord, view: &View, now_ns: u64) -> Value {
         "arrival_s": last.arrival_s.is_finite().then_some(last.arrival_s),
         "error_px": last.error_px,
         "clearance_px": last.clearance_px,
-        "wanted": is_following(last).then_some(last.desired),
+        "wanted": wanted(last),
         "twist": last.twist,
     })
 }
@@ -451,6 +458,12 @@ mod tests {
                 .find(|line| line.starts_with("wanted"));
             assert!(line.unwrap().contains(words), "{text}");
         }
+        let mut message = record;
+        message.hold = Hold::Unwanted.code();
+        let order = Order::First;
+        status.view.cycle(&Received { message, order });
+        assert!(!status.text(false).contains("wanted  "));
+        assert!(status.json()["cycles"]["wanted"].is_null());
     }
 
     #[test]

@@ -1,5 +1,5 @@
-/* Wants a swing of the camera to the right and back, at 10 Hz; vpcd with `strategy = "follow"` sends the nearest allowed
- * twists.
+/* Wants a swing of the camera to the right and back, at 10 Hz; vpcd with `strategy = "follow"`
+ * sends the nearest allowed twists.
  *
  *     ./policy [DOMAIN [SECONDS]]
  *
@@ -14,7 +14,7 @@
 #include "vpc.h"
 
 #define PERIOD_NS 100000000
-/* A twist counts for longer than a period, so that a late one does no harm; then the camera brakes. */
+/* A twist counts for longer than a period, so that a late one does no harm. */
 #define VALID_NS 200000000
 
 int main(int count, char **words) {

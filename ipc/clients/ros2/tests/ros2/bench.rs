@@ -168,7 +168,7 @@ impl Peer {
     pub fn set_off(&mut self, start: usize) {
         let moves = self.tried(|peer| {
             peer.place(start);
-            peer.moves(0.05)
+            peer.moves(0.05).is_ok()
         });
         assert!(moves, "no motion from start {start}");
     }
@@ -178,9 +178,9 @@ impl Peer {
         (0..TRIES).any(|_| attempt(self))
     }
 
-    /// Waits until it is faster than `speed`, in m/s or rad/s. `false`, and says why, where vpcd
-    /// has disarmed instead, as where a machine stands still.
-    pub fn moves(&mut self, speed: f64) -> bool {
+    /// Waits until it is faster than `speed`, in m/s or rad/s; vpcd's words where it has disarmed
+    /// instead.
+    pub fn moves(&mut self, speed: f64) -> Result<(), String> {
         let mut last = Value::Null;
         let moves = within(PATIENCE, || {
             last = self.status();
@@ -188,10 +188,10 @@ impl Peer {
         });
         let state = last["diagnostics"]["/vpcd: vpcd"]["message"].as_str();
         match state {
-            _ if moves.is_some() => true,
+            _ if moves.is_some() => Ok(()),
             Some(words) if words.starts_with("disarmed") => {
                 tell(words);
-                false
+                Err(words.to_owned())
             }
             _ => panic!("no motion: {last}"),
         }

@@ -15,12 +15,27 @@ const TWISTS: [&str; 4] = [
     "[0, 3, 0, -1, 0, 0]",
 ];
 
+/// What vpcd says where a machine stood still.
+const LATE: [&str; 3] = [
+    "disarmed: overruns",
+    "disarmed: standstill of the loop",
+    "disarmed: robot silent",
+];
+
+/// Waits for motion; `false` where the machine stood still.
+fn moves(peer: &mut Peer) -> bool {
+    let moves = peer.moves(0.02);
+    let is_late = moves.as_ref().is_err_and(|words| LATE.contains(&&**words));
+    assert!(moves.is_ok() || is_late, "{moves:?}");
+    moves.is_ok()
+}
+
 fn is_still(status: &Value) -> Option<()> {
     (status["speed"] == json!(0.0)).then_some(())
 }
 
 /// Follows each twist, stands when nothing is wanted any more, and follows again; `false` where
-/// vpcd has disarmed.
+/// the machine stood still.
 fn follows(peer: &mut Peer) -> bool {
     peer.ask("wish null");
     peer.place(0);
@@ -28,7 +43,7 @@ fn follows(peer: &mut Peer) -> bool {
     eventually("standstill", || is_still(&peer.status()));
     for twist in TWISTS {
         peer.ask(&format!("wish {twist}"));
-        if !peer.moves(0.02) {
+        if !moves(peer) {
             return false;
         }
         std::thread::sleep(Duration::from_millis(1500));
@@ -40,7 +55,7 @@ fn follows(peer: &mut Peer) -> bool {
     eventually("standstill", || is_still(&peer.status()));
     // Silent, it stays armed, and follows again.
     peer.ask(&format!("wish {}", TWISTS[0]));
-    peer.moves(0.02)
+    moves(peer)
 }
 
 #[test]
@@ -49,7 +64,7 @@ fn what_a_policy_in_ros_wants_loses_no_point_and_its_silence_brakes() {
         return;
     };
     let follows = bench.peer.tried(follows);
-    assert!(follows, "vpcd disarms");
+    assert!(follows, "the machine stands still");
     let gateway = bench.diagnosed("gateway", |status| status["level"] == json!(0));
     let values = gateway["values"].as_object().unwrap();
     assert!(values.keys().any(|key| key.contains("/wish")), "{gateway}");
