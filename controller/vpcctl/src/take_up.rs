@@ -64,7 +64,7 @@ impl Daemon {
     }
 
     /// Puts these files in the places of the daemon's, and waits until it has begun again,
-    /// disarmed. What was there is kept where `keeps` says so: see [`keep`].
+    /// disarmed. What was there is kept beside, as `*.before`, where `keeps` says so.
     ///
     /// # Errors
     /// A file is wrong or cannot be moved, `stop` was set, or the daemon does not take them: then
