@@ -62,8 +62,8 @@ impl Policy<'_> {
         (limit::command(solver, &problem, &solution), solution)
     }
 
-    /// The same towards a wanted twist, whose components count up to their limits. Where nothing
-    /// speaks against that, it is sent to the last bit, and nothing is solved.
+    /// The same towards a wanted twist; each component counts up to its limit. Where nothing speaks
+    /// against that, it is sent to the last bit, and nothing is solved.
     pub fn nearest(
         &self,
         solver: &mut Solver<'_>,

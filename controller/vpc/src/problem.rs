@@ -5,7 +5,7 @@
 use ::arm::Dampers;
 
 use crate::prediction::{InitialState, Plan, repeated};
-use crate::row::Row;
+use crate::row::{Row, beyond_px};
 use crate::span::Span;
 use crate::task::Task;
 use crate::view::View;
@@ -96,6 +96,19 @@ impl Problem<'_> {
     /// By how much a command is beyond them, px: each.
     pub(crate) fn violations_px(&self, twist: &Twist) -> impl Iterator<Item = f64> {
         self.rows().map(|row| row.violation_px(twist))
+    }
+
+    /// Whether a command is beyond the arm's rows by more than `slack`, px, or leads to the pattern's
+    /// side; and further than braking, which is always possible.
+    pub(crate) fn is_worse_than_braking(&self, command: &Twist, slack: f64) -> bool {
+        if self.dampers.is_none() && self.view.is_none() {
+            return false;
+        }
+        let braking = self.braking();
+        let of_arm = || self.dampers.into_iter().flat_map(arm::rows);
+        let [beyond, anyway] = [command, &braking].map(|twist| beyond_px(of_arm(), twist));
+        let is_left = |view: &View| view.is_left_by(command, &braking, slack);
+        beyond > anyway.max(slack) || self.view.as_ref().is_some_and(is_left)
     }
 
     /// Least and greatest value of the k-th variable of a plan: inside the velocity limits, and no

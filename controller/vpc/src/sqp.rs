@@ -27,12 +27,10 @@ use crate::intersample::{Intersample, NEAR_PX};
 use crate::prediction::{Plan, Preview};
 use crate::problem::{Problem, Solution, SolverOptions, Status};
 use crate::qp::{ActiveSet, Answer, QpStatus, Quadratic, Rows};
-use crate::row::beyond_px;
 use crate::size::Size;
-use crate::view::View;
 use crate::work::Prices;
 use crate::workspace::Workspace;
-use crate::{DOF, MAX_VARIABLES, Twist, arm};
+use crate::{DOF, MAX_VARIABLES, Twist};
 
 /// Halvings of a step before the line search gives up.
 const MAX_HALVINGS: usize = 8;
@@ -189,13 +187,7 @@ impl<'w, const N: usize> Sqp<'w, N> {
         let (pixels, radii) = (initial.explained(task), initial.radii(task));
         let begins = pixels.into_iter().zip(radii);
         let begins = begins.map(|(pixel, radius)| Place { pixel, radius });
-        // Braking is always possible: no command may be further beyond the arm's rows than it, or
-        // lead further to the pattern's side.
-        let (command, braking) = (first_command(&plan), problem.braking());
-        let of_arm = || problem.dampers.into_iter().flat_map(arm::rows);
-        let [beyond, anyway] = [&command, &braking].map(|twist| beyond_px(of_arm(), twist));
-        let is_left = |view: &View| view.is_left_by(&command, &braking, slack);
-        if beyond > anyway.max(slack) || problem.view.as_ref().is_some_and(is_left) {
+        if problem.is_worse_than_braking(&first_command(&plan), slack) {
             return false;
         }
         let (mut is_clear, mut sums, mut worst) = (true, [0.0; 2], [0.0_f64; 2]);

@@ -6,7 +6,9 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Limits, Pose, Scene};
 use vpc::motion::Motion;
-use vpc::{Law, Measurement, Settings, Strategy, Task, Twist, camera, constraint, task};
+use vpc::{
+    Law, Measurement, Refusal, Settings, Step, Strategy, Task, Twist, camera, constraint, task,
+};
 
 /// Cycles of a run.
 const CYCLES: u64 = 100;
@@ -111,6 +113,21 @@ fn guardian(scene: &Scene) -> Law<Vec<f64>> {
     Law::new(scene, settings, |len| vec![0.0; len]).unwrap()
 }
 
+/// A cycle: what is sent where so much is wanted.
+fn cycle(
+    law: &mut Law<Vec<f64>>,
+    pixels: &[[f64; 2]],
+    number: u64,
+    wanted: Option<Twist>,
+) -> Result<Step, Refusal> {
+    let now_ns = (number as f64 * law.task().period * 1e9).round() as u64;
+    law.want(wanted);
+    let measured = Measurement::from_points(pixels).taken(now_ns, now_ns);
+    let step = law.step(&measured, None)?;
+    law.sent(&step.twist, now_ns);
+    Ok(step)
+}
+
 /// Guards a camera against random twists from a start.
 fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
     let mut law = guardian(scene);
@@ -122,15 +139,9 @@ fn guard(scene: &Scene, start: &Pose, seed: u64, seen: &mut Seen) {
         points: task::placed(&task.pattern, start).collect(),
     };
     for k in 0..CYCLES {
-        let now_ns = (k as f64 * task.period * 1e9).round() as u64;
-        let measured = Measurement::from_points(&camera.pixels()).taken(now_ns, now_ns);
         let wanted = wanted(&mut random, &task.limits, [&before, &standing]);
-        law.want(wanted);
-        let step = match law.step(&measured, None) {
-            Ok(step) => step,
-            Err(refusal) => panic!("seed {seed}, cycle {k}: {refusal}"),
-        };
-        law.sent(&step.twist, now_ns);
+        let step = cycle(&mut law, &camera.pixels(), k, wanted);
+        let step = step.unwrap_or_else(|why| panic!("seed {seed}, cycle {k}: {why}"));
         seen.twists += 1;
         let change: Twist = std::array::from_fn(|i| step.twist[i] - standing[i]);
         let shares = step.twist.iter().zip(&task.limits);
@@ -208,13 +219,9 @@ fn what_is_wanted_beyond_the_limits_counts_up_to_them() {
         };
         let mut sent = Vec::new();
         for k in 0..CYCLES {
-            let now_ns = (k as f64 * task.period * 1e9).round() as u64;
-            let measured = Measurement::from_points(&camera.pixels()).taken(now_ns, now_ns);
             let sign = if k < CYCLES / 2 { 1.0 } else { -1.0 };
-            law.want(Some([size * sign; 6]));
-            let step = law.step(&measured, None).unwrap();
+            let step = cycle(&mut law, &camera.pixels(), k, Some([size * sign; 6])).unwrap();
             assert!(step.status.is_feasible(), "{size}, cycle {k}: {step:?}");
-            law.sent(&step.twist, now_ns);
             camera.points = camera.after(&step.twist, task.period);
             sent.push(step.twist);
         }
@@ -240,27 +247,25 @@ fn lowest(scene: &Scene, direction: f64, noise_px: f64) -> f64 {
     let (sin, cos) = direction.sin_cos();
     let mut lowest = 1.0_f64;
     for k in 0..(10.0 / task.period) as u64 {
-        let now_ns = (k as f64 * task.period * 1e9).round() as u64;
         let mut noise = || noise_px * 3.0_f64.sqrt() * (2.0 * random.random::<f64>() - 1.0);
         let pixels = camera
             .pixels()
             .into_iter()
             .map(|pixel| pixel.map(|x| x + noise()));
-        let measured = Measurement::from_points(&pixels.collect::<Vec<_>>()).taken(now_ns, now_ns);
+        let pixels: Vec<_> = pixels.collect();
         let middle = camera.points.iter().sum::<Vector3<f64>>() / 4.0;
         let (x, y) = (middle.x / middle.z, middle.y / middle.z);
         let (speed, turn, aim) = (0.4, 0.4 / middle.norm(), 2.0);
-        law.want(Some([
+        let wanted = [
             speed * cos,
             speed * sin,
             0.0,
             turn * sin - aim * y,
             aim * x - turn * cos,
             0.0,
-        ]));
-        let step = law.step(&measured, None);
+        ];
+        let step = cycle(&mut law, &pixels, k, Some(wanted));
         let step = step.unwrap_or_else(|why| panic!("{direction} rad, cycle {k}: {why}"));
-        law.sent(&step.twist, now_ns);
         camera.points = camera.after(&step.twist, task.period);
         lowest = lowest.min(sine(&camera.points));
     }

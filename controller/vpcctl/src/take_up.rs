@@ -90,7 +90,7 @@ impl Daemon {
             let undo = with_suffix(old, UNDO);
             fs::copy(old, &undo).map_err(Failure::write(&undo))?;
             if keeps {
-                keep(old).map_err(|error| Failure::write(old)(error))?;
+                keep(old).map_err(Failure::write(old))?;
             }
             fs::set_permissions(new, found.permissions()).map_err(Failure::write(new))?;
         }

@@ -173,7 +173,7 @@ impl Peer {
         assert!(moves, "no motion from start {start}");
     }
 
-    /// Whether it is so, of several tries, that vpcd remained armed.
+    /// Whether one of several tries succeeds.
     pub fn tried(&mut self, mut attempt: impl FnMut(&mut Self) -> bool) -> bool {
         (0..TRIES).any(|_| attempt(self))
     }
