@@ -58,7 +58,7 @@ impl Policy<'_> {
     ) -> (Twist, Solution) {
         let problem = self.problem(present, aim, target);
         let braking = repeated(&problem.braking());
-        let solution = solver.solve_from(&problem, &[*present.warm, braking]);
+        let solution = solver.solve_from(&problem, present.warm, &braking);
         (limit::command(solver, &problem, &solution), solution)
     }
 

@@ -109,31 +109,32 @@ impl<'w> Solver<'w> {
         window!(&mut self.window, solve(problem, warm, self.budget))
     }
 
-    /// Solves the problem from each start in turn until a solution violates nothing; otherwise
-    /// returns the one that violates least. All starts share one budget of work: each leaves at
-    /// least a quarter of what the ones before it left, the last nothing.
-    pub fn solve_from(&mut self, problem: &Problem<'_>, starts: &[Plan]) -> Solution {
-        let mut best: Option<Solution> = None;
-        let (mut iterations, mut qp_iterations, mut work) = (0, 0, 0);
-        for (others, start) in (0..starts.len()).rev().zip(starts) {
-            let left = self.budget.saturating_sub(work);
-            let most = if others == 0 { left } else { left / 4 * 3 };
-            let found = window!(&mut self.window, solve(problem, start, most));
-            iterations += found.iterations;
-            qp_iterations += found.qp_iterations;
-            work += found.work;
-            if best.is_none_or(|best| found.violation_px < best.violation_px) {
-                best = Some(found);
-            }
-            if found.status.is_feasible() {
-                break;
-            }
+    /// Solves the problem without a warm start. `standing` stands still, or does so as soon as
+    /// limits of acceleration allow. A cycle of the law always has a warm start.
+    pub fn solve_cold(&mut self, problem: &Problem<'_>, standing: &Plan) -> Solution {
+        window!(&mut self.window, solve_cold(problem, standing, self.budget))
+    }
+
+    /// Solves the problem from the warm start, and from `standing` where that solution violates
+    /// something; the one that violates less. Both share one budget of work: the first leaves at
+    /// least a quarter.
+    pub fn solve_from(&mut self, problem: &Problem<'_>, warm: &Plan, standing: &Plan) -> Solution {
+        let most = self.budget / 4 * 3;
+        let first = window!(&mut self.window, solve(problem, warm, most));
+        if first.status.is_feasible() {
+            return first;
         }
+        let left = self.budget.saturating_sub(first.work);
+        let second = window!(&mut self.window, solve(problem, standing, left));
+        let best = match second.violation_px < first.violation_px {
+            true => second,
+            false => first,
+        };
         Solution {
-            iterations,
-            qp_iterations,
-            work,
-            ..best.unwrap_or(Solution::NONE)
+            iterations: first.iterations + second.iterations,
+            qp_iterations: first.qp_iterations + second.qp_iterations,
+            work: first.work + second.work,
+            ..best
         }
     }
 }

@@ -48,6 +48,14 @@ const FEASIBLE: f64 = 0.05;
 /// Active-set changes allowed a quadratic program, per variable.
 const QP_CHANGES_PER_VARIABLE: u32 = 6;
 
+/// Without a warm start: most iterations without constraints, those of each search before the
+/// better one goes on, and the share of rho with which these two begin.
+const RELAXED: u32 = 4;
+const HEAT: u32 = 2;
+const SOFT: f64 = 0.1;
+/// Iterations without constraints end where one leaves more than this share of the merit.
+const LEVEL: f64 = 0.99;
+
 /// The cost and the violations of a plan.
 #[derive(Clone, Copy, Debug)]
 struct Outcome {
@@ -220,21 +228,84 @@ impl<'w, const N: usize> Sqp<'w, N> {
 
     /// Solves the problem from the warm start `warm` with so much work at most.
     pub(crate) fn solve(&mut self, problem: &Problem<'_>, warm: &Plan, budget: u32) -> Solution {
+        self.begin(problem, budget);
+        match self.first(problem, warm) {
+            Some(here) => self.finish(problem, here),
+            None => self.failure(),
+        }
+    }
+
+    /// Solves the problem without a warm start, with so much work at most: searches from
+    /// `standing`, and from where the plan would lead if nothing were in the way, for a few
+    /// iterations each; the better search goes on.
+    pub(crate) fn solve_cold(
+        &mut self,
+        problem: &Problem<'_>,
+        standing: &Plan,
+        budget: u32,
+    ) -> Solution {
+        self.begin(problem, budget);
+        let Some(standing) = self.first(problem, standing) else {
+            return self.failure();
+        };
+        let free = self.relaxed(problem, standing);
+        let mut best = free;
+        if free.outcome.worst > FEASIBLE {
+            let first_rho = self.progress.rho;
+            let found = [free, standing].map(|start| {
+                (self.progress.rho, self.progress.raises) = (SOFT * first_rho, 0);
+                let limit = self.progress.iterations + HEAT;
+                let start = self.outcome(problem, start.plan)?;
+                let (found, _) = self.search(problem, start, limit)?;
+                let Progress { rho, raises, .. } = self.progress;
+                Some((found, rho.max(first_rho), raises))
+            });
+            let found = || found.iter().flatten();
+            let rho = found().map(|(_, rho, _)| *rho).fold(first_rho, f64::max);
+            let merit = |at: &Iterate<N>| at.outcome.merit(rho);
+            let better = found().min_by(|a, b| merit(&a.0).total_cmp(&merit(&b.0)));
+            let better = better.copied().unwrap_or((standing, first_rho, 0));
+            (best, self.progress.rho, self.progress.raises) = better;
+        }
+        match self.outcome(problem, best.plan) {
+            Some(here) => self.finish(problem, here),
+            None => self.failure(),
+        }
+    }
+
+    fn begin(&mut self, problem: &Problem<'_>, budget: u32) {
         self.progress = Progress {
             budget,
             rho: first_rho(problem, self.preview.np()),
             ..Progress::default()
         };
         self.count(self.prices.arm);
-        let Some(mut here) = self.first(problem, warm) else {
-            return self.failure();
-        };
-        while self.may_go_on() {
+    }
+
+    /// Searches from the plan that was evaluated last to the end.
+    fn finish(&mut self, problem: &Problem<'_>, here: Iterate<N>) -> Solution {
+        let most = self.options.max_iterations;
+        let limit = self.progress.iterations.saturating_add(most);
+        match self.search(problem, here, limit) {
+            Some((here, status)) => self.solution(problem, &here, status),
+            None => self.failure(),
+        }
+    }
+
+    /// Iterates from the plan that was evaluated last until so many iterations are done; `None` on a
+    /// numerical failure.
+    fn search(
+        &mut self,
+        problem: &Problem<'_>,
+        mut here: Iterate<N>,
+        limit: u32,
+    ) -> Option<(Iterate<N>, Status)> {
+        while self.may_go_on(limit) {
             let (cost, quadratic) = self.expand(problem, &here.plan);
             self.collect_rows(problem, &here.plan, &quadratic);
             let Answer { step, status, .. } = self.solve_program_raising_rho(&quadratic);
             if status == QpStatus::NumericalFailure {
-                return self.failure();
+                return None;
             }
             let rho = self.progress.rho;
             let merit = here.outcome.merit(rho);
@@ -247,18 +318,39 @@ impl<'w, const N: usize> Sqp<'w, N> {
                     QpStatus::Solved => Status::Converged,
                     _ => Status::IterationLimit,
                 };
-                return self.solution(problem, &here, status);
+                return Some((here, status));
             }
             let next = self
                 .full_step(problem, &here, &quadratic, step, decrease)
                 .or_else(|| self.line_search(problem, &here, &step, decrease));
             match next {
                 Some(next) => here = next,
-                None if !self.may_go_on() => break,
-                None => return self.solution(problem, &here, Status::Stalled),
+                None if !self.may_go_on(limit) => break,
+                None => return Some((here, Status::Stalled)),
             }
         }
-        self.solution(problem, &here, Status::IterationLimit)
+        Some((here, Status::IterationLimit))
+    }
+
+    /// Where a few iterations lead that know of no constraint but the bounds.
+    fn relaxed(&mut self, problem: &Problem<'_>, mut here: Iterate<N>) -> Iterate<N> {
+        let limit = self.progress.iterations + RELAXED;
+        while self.may_go_on(limit) {
+            let (_, quadratic) = self.expand(problem, &here.plan);
+            self.rows.clear();
+            let step = self.solve_program(&quadratic).step;
+            let before = here.outcome.merit(0.0);
+            let there = [1.0, 0.5, 0.25].iter().find_map(|share| {
+                let there = self.outcome(problem, moved(&here.plan, &step, *share))?;
+                (there.outcome.merit(0.0) < before).then_some(there)
+            });
+            let Some(there) = there else { break };
+            here = there;
+            if here.outcome.merit(0.0) > LEVEL * before {
+                break;
+            }
+        }
+        here
     }
 
     /// The program that the first iteration from `plan` solves, and its rho.
@@ -291,9 +383,8 @@ impl<'w, const N: usize> Sqp<'w, N> {
         self.done += u64::from(work);
     }
 
-    fn may_go_on(&self) -> bool {
-        let is_allowed = self.progress.iterations < self.options.max_iterations;
-        is_allowed && self.progress.work < self.progress.budget
+    fn may_go_on(&self, limit: u32) -> bool {
+        self.progress.iterations < limit && self.progress.work < self.progress.budget
     }
 
     /// Begins an iteration: the cost, and its expansion about the plan that was evaluated last,

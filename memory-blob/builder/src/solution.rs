@@ -105,7 +105,7 @@ impl<'a> Finder<'a> {
         };
         let plan: Plan = std::array::from_fn(|k| if k < 6 { warm[k] } else { 0.0 });
         let mut solver = Solver::new(self.size, self.settings.solver(), &mut self.workspace)?;
-        let solution = solver.solve_from(&problem, &[plan, [0.0; MAX_VARIABLES]]);
+        let solution = solver.solve_from(&problem, &plan, &[0.0; MAX_VARIABLES]);
         solution
             .status
             .is_feasible()

@@ -142,7 +142,7 @@ impl Case {
 
     /// The solution from the starts of `Law::step`: the warm start, and standing still.
     pub fn solve(&self, solver: &mut Solver<'_>, warm: &Twist) -> Solution {
-        solver.solve_from(&self.problem(), &[plan(warm), [0.0; MAX_VARIABLES]])
+        solver.solve_from(&self.problem(), &plan(warm), &[0.0; MAX_VARIABLES])
     }
 
     /// Cost and worst violation (px) of a twist, by a preview of its own.
