@@ -4,21 +4,25 @@ use std::collections::BTreeMap;
 
 use serde_json::{Map, Value, json};
 
-use crate::Contents;
 use crate::format::{self, ALIGNMENT, PROBES, round_up};
 use crate::layout::Layout;
 use crate::tensors::{self, Tensors};
+use crate::{Contents, Memory, WriteError};
 
 /// Tensors and metadata, ready to be written.
-pub(crate) struct Draft {
+pub struct Draft {
     pub(crate) layout: Layout,
     pub(crate) metadata: BTreeMap<String, String>,
     pub(crate) tensors: Tensors,
 }
 
 impl Draft {
-    /// The contents laid out as FORMAT.md says; they were checked.
-    pub(crate) fn of(contents: &Contents) -> Self {
+    /// The contents laid out as FORMAT.md says.
+    ///
+    /// # Errors
+    /// [`WriteError`] if they contradict themselves.
+    pub fn of(contents: &Contents) -> Result<Self, WriteError> {
+        contents.check()?;
         let layout = Layout::of(contents, PROBES);
         let mut draft = Self {
             layout,
@@ -32,7 +36,13 @@ impl Draft {
         }
         draft.add_probes(contents);
         draft.add_digests();
-        draft
+        Ok(draft)
+    }
+
+    /// The view that queries use.
+    pub fn view(&self) -> Memory<'_> {
+        self.layout
+            .view(|name| self.tensors.get(name).map_or(&[], Vec::as_slice))
     }
 
     /// Adds the digests; nothing may change afterwards.

@@ -162,6 +162,7 @@ impl Layout {
             outputs: self.outputs,
             x: tensor("samples.x"),
             y: tensor("samples.y"),
+            origin: tensor("samples.origin"),
             cost_to_go: tensor("samples.cost_to_go"),
             boxes: &tensor("samples.boxes")[..blocks * 2 * n],
             groups: &tensor("samples.groups")[..groups * 2 * n],

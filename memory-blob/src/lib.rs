@@ -54,6 +54,8 @@ pub use view::Memory;
 #[cfg(feature = "file")]
 pub use contents::{Contents, Regression, WriteError};
 #[cfg(feature = "file")]
+pub use draft::Draft;
+#[cfg(feature = "file")]
 pub use file::{MemoryFile, OpenError};
 #[cfg(feature = "file")]
 pub use format::hex;

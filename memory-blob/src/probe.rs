@@ -11,9 +11,7 @@ impl Draft {
     pub(crate) fn add_probes(&mut self, contents: &Contents) {
         let (n8, p8) = self.layout.padded();
         let count = contents.x.len();
-        let memory = self
-            .layout
-            .view(|name| self.tensors.get(name).map_or(&[], Vec::as_slice));
+        let memory = self.view();
         let (mut inputs, mut knn, mut means) = (Vec::new(), Vec::new(), Vec::new());
         for probe in 0..PROBES {
             // A third of the way from one sample to another: inside the data, on no sample.

@@ -23,6 +23,8 @@ pub struct Samples<'a> {
     pub(crate) x: &'a [f64],
     /// Raw outputs, [blocks * BLOCK, outputs].
     pub(crate) y: &'a [f64],
+    /// The trajectory of each sample, [blocks * BLOCK], and then its control period there.
+    pub(crate) origin: &'a [f64],
     /// Cost of the rest of each sample's trajectory, [blocks * BLOCK].
     pub(crate) cost_to_go: &'a [f64],
     /// Boxes of the blocks, [blocks, 2, inputs]: lows, then highs.
@@ -113,6 +115,25 @@ impl<'a> Samples<'a> {
     /// periods.
     pub fn cost_to_go(&self, index: usize) -> f64 {
         self.cost_to_go[index]
+    }
+
+    /// The trajectory of a sample, and the control period in it.
+    pub fn origin(&self, index: usize) -> [u32; 2] {
+        let (trajectory, period) = self.origin.split_at(self.origin.len() / 2);
+        [trajectory[index], period[index]].map(|x| x as u32)
+    }
+
+    /// Calls `visit` with the periods from a sample to each of its trajectory from there on, itself
+    /// first or not, and with their indices. Looks at all samples.
+    pub fn rest(&self, index: usize, mut visit: impl FnMut(u32, usize)) {
+        let [of, from] = self.origin(index);
+        let (trajectories, periods) = self.origin.split_at(self.origin.len() / 2);
+        let pairs = trajectories.iter().zip(periods).take(self.count);
+        for (other, (&trajectory, &period)) in pairs.enumerate() {
+            if trajectory as u32 == of && period as u32 >= from {
+                visit(period as u32 - from, other);
+            }
+        }
     }
 
     /// Writes the raw input of a sample.

@@ -9,15 +9,10 @@ impl MemoryFile {
     pub fn contents(&self) -> Contents {
         let view = self.view();
         let samples = view.samples();
-        let (trajectory, step) = {
-            let origin = self.tensor("samples.origin");
-            origin.split_at(origin.len() / 2)
-        };
         let mut order: Vec<usize> = (0..samples.len()).collect();
-        order.sort_by(|&a, &b| {
-            let by_step = step[a].total_cmp(&step[b]);
-            trajectory[a].total_cmp(&trajectory[b]).then(by_step)
-        });
+        order.sort_by_key(|&i| samples.origin(i));
+        let [trajectory, step] =
+            [0, 1].map(|k| order.iter().map(|&i| samples.origin(i)[k]).collect());
         let raw = |k: usize, x: f64| x * samples.scaling().scale[k] + samples.scaling().offset[k];
         let n = samples.inputs();
         let input = |&i: &usize| (0..n).map(|k| raw(k, samples.scaled(i, k))).collect();
@@ -27,8 +22,8 @@ impl MemoryFile {
             scale: samples.scaling().scale.to_vec(),
             x: order.iter().map(input).collect(),
             y: order.iter().map(|&i| samples.output(i).to_vec()).collect(),
-            trajectory: order.iter().map(|&i| trajectory[i] as u32).collect(),
-            step: order.iter().map(|&i| step[i] as u32).collect(),
+            trajectory,
+            step,
             cost_to_go: order.iter().map(|&i| samples.cost_to_go(i)).collect(),
             regression: view.gpr().map(|gpr| self.regression(&gpr, raw)),
             provenance: self.provenance(),

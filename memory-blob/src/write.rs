@@ -13,8 +13,7 @@ impl Contents {
     /// # Errors
     /// [`WriteError`] if the contents contradict themselves or the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
-        self.check()?;
-        program::replace(path, &Draft::of(self).bytes()).map_err(|source| WriteError::Write {
+        program::replace(path, &Draft::of(self)?.bytes()).map_err(|source| WriteError::Write {
             path: path.display().to_string(),
             source,
         })

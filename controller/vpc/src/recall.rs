@@ -1,14 +1,18 @@
 //! Recall: when to ask the memory, and how to use its answer.
 
+use memory_blob::Samples;
+
 use crate::prediction::InitialState;
 use crate::settings::Settings;
-use crate::strategy::Strategy;
+use crate::strategy::{MAX_NEIGHBOURS, Strategy};
 use crate::task::Task;
 use crate::{DOF, MAX_POINTS, Points, Twist, constraint, limit};
 
 /// Largest allowed twist of the memory, as a multiple of the limits: a regression overshoots a
 /// little.
 const MOST_TWIST: f64 = 2.0;
+/// Samples of a memory that is searched for a trajectory, at most: each is looked at.
+const MOST_SCANNED: usize = 65_536;
 /// Largest allowed distance of a way point from the image, as a share of the image.
 const MOST_OUTSIDE: f64 = 0.25;
 
@@ -63,6 +67,20 @@ pub trait MotionMemory {
     fn sample(&self, _index: usize, _input: &mut [f64]) -> Option<f64> {
         None
     }
+
+    /// The rest of the `rank`-th nearest trajectory, from 1, from its nearest sample on: writes the
+    /// input of that sample, and a command for every `periods` control periods, zero after its end.
+    /// `None` if there is none.
+    fn trajectory(
+        &self,
+        _input: &[f64],
+        _rank: usize,
+        _periods: f64,
+        _found: &mut [f64],
+        _commands: &mut [Twist],
+    ) -> Option<()> {
+        None
+    }
 }
 
 impl MotionMemory for memory_blob::Memory<'_> {
@@ -83,6 +101,60 @@ impl MotionMemory for memory_blob::Memory<'_> {
         let samples = self.samples();
         let is_there = index < samples.len() && samples.input(index, input).is_ok();
         is_there.then(|| samples.cost_to_go(index))
+    }
+
+    fn trajectory(
+        &self,
+        input: &[f64],
+        rank: usize,
+        periods: f64,
+        found: &mut [f64],
+        commands: &mut [Twist],
+    ) -> Option<()> {
+        let samples = self.samples();
+        let index = nearest_of_trajectory(&samples, input, rank)?;
+        samples.input(index, found).ok()?;
+        write_rest(&samples, index, periods, commands);
+        Some(())
+    }
+}
+
+/// The nearest sample of the `rank`-th nearest trajectory, from 1; those with a sample among the
+/// nearest [`MAX_NEIGHBOURS`] count.
+fn nearest_of_trajectory(samples: &Samples<'_>, input: &[f64], rank: usize) -> Option<usize> {
+    if samples.len() > MOST_SCANNED {
+        return None;
+    }
+    let nearest = samples
+        .search(input, MAX_NEIGHBOURS.min(samples.len()))
+        .ok()?;
+    let mut seen = heapless::Vec::<u32, MAX_NEIGHBOURS>::new();
+    let mut indices = nearest.indices().iter().copied();
+    indices.find(|&index| {
+        let [trajectory, _] = samples.origin(index);
+        !seen.contains(&trajectory) && seen.push(trajectory).is_ok() && seen.len() == rank
+    })
+}
+
+/// The commands of a trajectory from a sample on, each held until the next one that is stored.
+fn write_rest(samples: &Samples<'_>, index: usize, periods: f64, commands: &mut [Twist]) {
+    commands.fill([f64::NAN; DOF]);
+    samples.rest(index, |period, other| {
+        let at = (f64::from(period) / periods) as usize;
+        let twist = samples.output(other).first_chunk();
+        if let (Some(place), Some(twist)) = (commands.get_mut(at), twist) {
+            *place = *twist;
+        }
+    });
+    let is_stored = |command: &Twist| command.iter().all(|v| v.is_finite());
+    let last = commands.iter().rposition(is_stored);
+    let mut held = [0.0; DOF];
+    for (at, command) in commands.iter_mut().enumerate() {
+        match is_stored(command) {
+            true => held = *command,
+            false if Some(at) < last => *command = held,
+            false => *command = [0.0; DOF],
+        }
     }
 }
 
@@ -163,7 +235,55 @@ impl Recall {
 
 #[cfg(test)]
 mod tests {
+    use memory_blob::{Contents, Draft};
+
     use super::*;
+
+    #[test]
+    fn the_rest_of_a_trajectory_holds_each_command_until_the_next() {
+        // Two trajectories side by side, stored every third period.
+        let samples = (0..2).flat_map(|k| (0..5).map(move |j| (k, 3 * j)));
+        let sample = |(k, step): (u32, u32)| {
+            let x = vec![f64::from(step), f64::from(k)];
+            let mut y = vec![0.0; DOF + 2];
+            (y[0], y[1]) = (f64::from(k), 1.0 + f64::from(step));
+            (x, y)
+        };
+        let (x, y) = samples.clone().map(sample).unzip();
+        let contents = Contents {
+            task: [0; 32],
+            offset: vec![0.0; 2],
+            scale: vec![1.0; 2],
+            x,
+            y,
+            trajectory: samples.clone().map(|(k, _)| k).collect(),
+            step: samples.clone().map(|(_, step)| step).collect(),
+            cost_to_go: samples.map(|_| 0.0).collect(),
+            regression: None,
+            provenance: Default::default(),
+        };
+        let draft = Draft::of(&contents).unwrap();
+        let ask = |rank, periods| {
+            let (mut found, mut commands) = ([0.0; 2], [[9.0; DOF]; 8]);
+            let memory = draft.view();
+            let input = [6.2, 0.9];
+            memory.trajectory(&input, rank, periods, &mut found, &mut commands)?;
+            Some((found, commands.map(|command| [command[0], command[1]])))
+        };
+        let (found, commands) = ask(1, 1.0).unwrap();
+        assert_eq!(found, [6.0, 1.0]);
+        let held = [7.0, 7.0, 7.0, 10.0, 10.0, 10.0, 13.0];
+        assert_eq!(commands[..7], held.map(|v| [1.0, v]));
+        assert_eq!(commands[7], [0.0; 2]);
+        // The other trajectory, with a command for every three periods.
+        let (found, commands) = ask(2, 3.0).unwrap();
+        assert_eq!(found, [6.0, 0.0]);
+        assert_eq!(
+            commands[..4],
+            [[0.0, 7.0], [0.0, 10.0], [0.0, 13.0], [0.0; 2]]
+        );
+        assert_eq!(ask(3, 1.0), None);
+    }
 
     #[test]
     fn the_trigger_has_hysteresis() {

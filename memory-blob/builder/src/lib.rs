@@ -2,13 +2,15 @@
 //! regression.
 //!
 //! [`build`] draws starts and collects the trajectories that [`trajectory`] finds step by step with
-//! [`solution`]; starts that the controller leaves stuck go to [`planner`]. [`store`] keeps samples
-//! and way points, [`subsample`] chooses those that [`regression`] is fitted to, and [`memory`]
-//! writes the file. [`state`] keeps an
-//! unfinished build. Decisions, promises and times stand in the crate's `README.md`.
+//! [`solution`]; starts that the controller leaves stuck go to [`planner`]. Or [`foresight`] runs
+//! from them, and says which trajectories it needs. [`store`] keeps samples and way points,
+//! [`subsample`] chooses those that [`regression`] is fitted to, and [`memory`] writes the file.
+//! [`state`] keeps an unfinished build. Decisions, promises and times stand in the crate's
+//! `README.md`.
 
 pub mod build;
 pub mod clearance;
+pub mod foresight;
 pub mod lbfgs;
 pub mod memory;
 pub mod mixture;

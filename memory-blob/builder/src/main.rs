@@ -116,6 +116,10 @@ pub(crate) struct Overrides {
     /// Do without the planner in pose space: the paper's two algorithms only.
     #[arg(long)]
     no_planner: bool,
+    /// Collect foresight's trajectories, where it needs them, instead of the paper's: from so many
+    /// starts.
+    #[arg(long, value_name = "STARTS")]
+    foresight: Option<u32>,
     /// Samples kept for regression [default: 800].
     #[arg(long)]
     gpr_samples: Option<u32>,
@@ -140,6 +144,7 @@ impl Overrides {
         document.set("way_point", "--way-point-samples", ahead);
         document.set("trigger_px", "--trigger-px", self.trigger_px);
         document.set("planner", "--no-planner", self.no_planner.then_some(false));
+        document.set("foresight.starts", "--foresight", self.foresight);
         document.set("regression.samples", "--gpr-samples", self.gpr_samples);
         document.set(
             "regression.variance",

@@ -30,19 +30,28 @@ pub fn contents(
     let provenance = provenance(settings, progress, &store);
     let kept = subsample::indices(task, settings, &store);
     let regression = fit(task, settings, &store, &kept)?;
-    let index = |values: &[usize]| values.iter().map(|&i| i as u32).collect();
     Ok(Contents {
+        regression: Some(regression),
+        provenance,
+        ..samples(scene, &store)
+    })
+}
+
+/// The samples of a store alone.
+pub(crate) fn samples(scene: &Scene, store: &Store) -> Contents {
+    let index = |values: &[usize]| values.iter().map(|&i| i as u32).collect();
+    Contents {
         task: *scene.fingerprint().bytes(),
         offset: vec![0.0; store.scale().len()],
         scale: store.scale().to_vec(),
         trajectory: index(&store.trajectory),
         step: index(&store.step),
-        regression: Some(regression),
-        provenance,
-        cost_to_go: store.cost_to_go,
-        x: store.inputs,
-        y: store.outputs,
-    })
+        regression: None,
+        provenance: Map::new(),
+        cost_to_go: store.cost_to_go.clone(),
+        x: store.inputs.clone(),
+        y: store.outputs.clone(),
+    }
 }
 
 /// The process fitted to the kept samples, with the constant mean (0, s*): no motion and the goal
@@ -114,7 +123,7 @@ pub fn refit(
 fn provenance(settings: &BuildSettings, progress: &Progress, store: &Store) -> Map<String, Value> {
     let [stuck, no_solution, violation, time_out] = progress.causes;
     let periods = progress.trajectories.iter().map(|t| t.twists.len());
-    let provenance = json!({
+    let mut provenance = json!({
         "tool": TOOL,
         "settings": settings,
         "starts_tried": progress.tried,
@@ -128,5 +137,10 @@ fn provenance(settings: &BuildSettings, progress: &Progress, store: &Store) -> M
             "time_out": time_out,
         },
     });
+    if settings.foresight.is_some() {
+        // A number that is not finite is null.
+        let paid = progress.paid.iter().map(|paid| (1e3 * paid).round() / 1e3);
+        provenance["foresight_paid_times_the_best"] = json!(paid.collect::<Vec<f64>>());
+    }
     provenance.as_object().cloned().unwrap_or_default()
 }

@@ -74,6 +74,33 @@ pub struct BuildSettings {
     pub grow: BTreeMap<String, f64>,
     #[allow(missing_docs)]
     pub regression: RegressionSettings,
+    /// Collect foresight's trajectories, where it needs them, instead of the paper's. Flag:
+    /// --foresight.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub foresight: Option<ForesightSettings>,
+}
+
+/// Trajectories of foresight: one is kept where foresight, with the memory so far and a short
+/// pause, fails or pays more than after long thought.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
+#[serde(deny_unknown_fields, default)]
+pub struct ForesightSettings {
+    /// Starts that are tried; fewer if there are enough trajectories.
+    #[default = 500]
+    #[schemars(range(min = 1, max = 10000000))]
+    pub starts: u64,
+    /// The pause before it moves, in which it thinks, as it does until it is armed.
+    #[default = 1.0]
+    #[schemars(range(min = 0, max = 3600), extend("x-unit" = "s"))]
+    pub pause_s: f64,
+    /// The same for the best way from each start.
+    #[default = 10.0]
+    #[schemars(range(min = 0, max = 3600), extend("x-unit" = "s"))]
+    pub think_s: f64,
+    /// A trajectory is kept where the run costs this many times as much.
+    #[default = 1.05]
+    #[schemars(range(min = 1, max = 100))]
+    pub pays: f64,
 }
 
 fn growth() -> serde_json::Value {

@@ -1,6 +1,6 @@
 //! The file of an unfinished build: what Ctrl-C or a kill leaves, and where the next build goes on.
 //!
-//! A line `vpc-memory-state 2 SHA256`, the digest being that of all that follows; then, in
+//! A line `vpc-memory-state 3 SHA256`, the digest being that of all that follows; then, in
 //! Postcard, what the build is (version, scene, settings) and its progress.
 
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ use crate::build::Progress;
 use crate::settings::BuildSettings;
 
 /// Begin of the first line, before the digest.
-const MAGIC: &[u8] = b"vpc-memory-state 2 ";
+const MAGIC: &[u8] = b"vpc-memory-state 3 ";
 /// The program and its version, as in the provenance of a memory.
 pub(crate) const TOOL: &str = concat!("vpc-memory ", env!("CARGO_PKG_VERSION"));
 

@@ -5,10 +5,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use memory_blob::Contents;
 use memory_builder::build::{Progress, collect};
+use memory_builder::foresight::Need;
 use memory_builder::memory;
-use memory_builder::settings::BuildSettings;
+use memory_builder::settings::{BuildSettings, ForesightSettings};
 use memory_builder::state::BuildIdentity;
-use scene::{Scene, SceneFiles};
+use scene::{Pose, Scene, SceneFiles};
 use vpc::Task;
 
 fn settings() -> BuildSettings {
@@ -26,21 +27,56 @@ fn scene() -> Scene {
 }
 
 fn built(threads: usize) -> Progress {
+    built_by(threads, &settings())
+}
+
+fn built_by(threads: usize, settings: &BuildSettings) -> Progress {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
         .unwrap();
     let never = AtomicBool::new(false);
-    pool.install(|| {
-        collect(
-            &scene(),
-            &settings(),
-            Progress::default(),
-            &never,
-            &mut |_| (),
-        )
-        .unwrap()
-    })
+    pool.install(|| collect(&scene(), settings, Progress::default(), &never, &mut |_| ()).unwrap())
+}
+
+/// Settings of a build from 8 starts that keeps what pays more than `pays`.
+fn needed(pays: f64) -> BuildSettings {
+    BuildSettings {
+        batch: 4,
+        foresight: Some(ForesightSettings {
+            starts: 8,
+            pause_s: 0.0,
+            think_s: 1.0,
+            pays,
+        }),
+        ..settings()
+    }
+}
+
+#[test]
+fn foresight_s_trajectories_are_kept_where_it_pays_more_without_thought() {
+    let settings = needed(1.02);
+    let (one, three) = (built_by(1, &settings), built_by(3, &settings));
+    assert_eq!(one, three);
+    assert_eq!(one.tried, 8);
+    let kept = one.trajectories.len();
+    assert!((1..8).contains(&kept), "{kept}");
+    assert_eq!(one.failures.len(), kept);
+
+    // The first one was kept because of what it costs without a memory.
+    let foresight = settings.foresight.unwrap();
+    let task = Task::new(&scene()).unwrap();
+    let start = Pose {
+        translation: one.failures[0][..3].try_into().unwrap(),
+        rotation: one.failures[0][3..].try_into().unwrap(),
+    };
+    let need = Need::of(&scene(), &task, &foresight, &start, None);
+    let (paid, trajectory) = need.needed(&foresight).unwrap();
+    assert_eq!((paid, trajectory), (one.paid[0], &one.trajectories[0]));
+    assert!(paid > 1.02 && one.paid.len() == kept);
+
+    let nothing = built_by(2, &needed(100.0));
+    assert_eq!((nothing.tried, nothing.trajectories.len()), (8, 0));
 }
 
 fn contents(task: &Task, settings: &BuildSettings, progress: &Progress) -> Contents {

@@ -61,6 +61,12 @@ impl Build {
         let clock = Instant::now();
         let progress = self.collect(&BuildIdentity::new(&scene, &settings), &grown, &settings)?;
         let collected = clock.elapsed();
+        if progress.trajectories.is_empty() {
+            bail!(
+                "--foresight: none of {} starts needs a trajectory, so no memory is written; foresight does without one",
+                progress.tried
+            );
+        }
         memory::contents(&scene.scene, &task, &settings, &progress)?.write(&self.output)?;
         if path.exists() {
             fs::remove_file(&path).with_context(|| path.display().to_string())?;
@@ -89,10 +95,10 @@ impl Build {
         let path = beside(&self.output);
         let begun = build.resume(&path)?;
         let stop = program::stop_or_end_on_signals()?;
-        let bar = progress_bar(settings.trajectories, begun.trajectories.len());
+        let bar = progress_bar(settings, &begun);
         let (mut saved, mut failed) = (Instant::now(), None);
         let progress = build::collect(scene, settings, begun, &stop, &mut |progress| {
-            say(&bar, progress);
+            say(&bar, settings, progress);
             if saved.elapsed() >= Duration::from_secs(self.checkpoint_s) {
                 failed = build.save(&path, progress).err();
                 if failed.is_some() {
@@ -106,7 +112,7 @@ impl Build {
             return Err(error.into());
         }
         let found = progress.trajectories.len();
-        if found < settings.trajectories {
+        if !build::is_enough(settings, &progress) {
             build.save(&path, &progress)?;
             eprintln!(
                 "vpc-memory: stopped at {found} trajectories; the same command goes on from {}",
@@ -125,24 +131,35 @@ fn beside(output: &Path) -> PathBuf {
     path.into()
 }
 
-fn progress_bar(total: usize, begun: usize) -> ProgressBar {
+/// Counts trajectories, or starts where foresight may need none.
+fn progress_bar(settings: &BuildSettings, begun: &Progress) -> ProgressBar {
+    let (total, what) = match &settings.foresight {
+        Some(foresight) => (foresight.starts, "starts"),
+        None => (settings.trajectories as u64, "trajectories"),
+    };
     let bar = if std::io::stderr().is_terminal() {
-        ProgressBar::new(total as u64)
+        ProgressBar::new(total)
     } else {
         ProgressBar::hidden()
     };
-    let style = "{bar:40.cyan/blue} {pos}/{len} trajectories, {per_sec}, ETA {eta}, {msg}";
+    let style =
+        format!("{{bar:40.cyan/blue}} {{pos}}/{{len}} {what}, {{per_sec}}, ETA {{eta}}, {{msg}}");
     bar.set_style(
-        ProgressStyle::with_template(style).unwrap_or_else(|_| ProgressStyle::default_bar()),
+        ProgressStyle::with_template(&style).unwrap_or_else(|_| ProgressStyle::default_bar()),
     );
-    bar.set_position(begun as u64);
+    say(&bar, settings, begun);
     bar
 }
 
-/// Shows on the bar how many trajectories there are, and from how many starts.
-fn say(bar: &ProgressBar, progress: &Progress) {
+/// Shows on the bar how far a build has come.
+fn say(bar: &ProgressBar, settings: &BuildSettings, progress: &Progress) {
     let (found, tried) = (progress.trajectories.len(), progress.tried);
-    bar.set_position(found as u64);
-    let share = 100.0 * found as f64 / tried as f64;
-    bar.set_message(format!("{share:.0} % of {tried} starts"));
+    if settings.foresight.is_some() {
+        bar.set_position(tried);
+        bar.set_message(format!("{found} trajectories"));
+    } else {
+        bar.set_position(found as u64);
+        let share = 100.0 * found as f64 / tried.max(1) as f64;
+        bar.set_message(format!("{share:.0} % of {tried} starts"));
+    }
 }
