@@ -44,7 +44,7 @@ use crate::solver::Solver;
 use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::way::{COMMANDS, Way};
-use crate::{MAX_POINTS, Points, Twist, gate, random};
+use crate::{DOF, MAX_POINTS, Points, Twist, gate, random};
 
 /// A candidate that arrives replaces another one that arrives if it costs less than this share of
 /// the other's cost.
@@ -88,6 +88,8 @@ const fn detour(aside: [f64; 3], turn: [f64; 3]) -> Detour {
     Detour { aside, turn }
 }
 
+/// The nearest trajectories of the memory, so many, are first guesses after these.
+const REMEMBERED: usize = 8;
 /// A simulated future is a first guess if it costs less than this multiple of the best known cost.
 const PROMISING: f64 = 2.0;
 /// Clearance of a draft beside the law's, px, and for each second by which features are older than
@@ -111,6 +113,8 @@ const TURN: f64 = 1.0;
 const SMALLEST: f64 = 0.5;
 /// A future ends as stalled after this many steps towards the goal without progress.
 const PATIENCE: u32 = 6;
+/// So many times longer where the law only regulates.
+const NEAR: u32 = 4;
 /// A step is progress if it reduces the least distance so far to below this share.
 const PROGRESS: f64 = 0.99;
 /// An incumbent that arrives is simulated again after this many steps. Until then its promised cost
@@ -519,13 +523,18 @@ impl Thinker<'_> {
         self.done() + pass <= self.most_work
     }
 
-    /// A first guess: at first those of [`DETOURS`]; afterwards in turn the incumbent, one by any
-    /// detour, the incumbent again, and what the law does under a drawn candidate. Where the
-    /// incumbent is a refined way itself, it is loosened every second time, so that it may leave
-    /// the side of an occlusion that it is on.
+    /// A first guess: at first those of [`DETOURS`], then what is left of the memory's nearest
+    /// trajectories; afterwards in turn the incumbent, one by any detour, the incumbent again, and
+    /// what the law does under a drawn candidate. Where the incumbent is a refined way itself, it
+    /// is loosened every second time, so that it may leave the side of an occlusion that it is on.
     fn begin_draft(&mut self, course: &Course<'_>, best: &Future, foresight: &mut Foresight) {
         let number = foresight.drafted;
-        let listed = DETOURS.get(number.wrapping_sub(1) as usize);
+        let first = number.wrapping_sub(1) as usize;
+        let listed = DETOURS.get(first);
+        let rank = (first + 1).saturating_sub(DETOURS.len());
+        if (1..=REMEMBERED).contains(&rank) && self.begin_remembered(course, rank).is_some() {
+            return;
+        }
         let within = |most: f64, k| most * (2.0 * uniform(number, k) - 1.0);
         let drawn = || Detour {
             aside: [1, 2, 3].map(|k| within(SIDE, k)),
@@ -562,6 +571,31 @@ impl Thinker<'_> {
             }
             None => course.guess(&detour, self.draft.begin(&course.start, false)),
         }
+    }
+
+    /// Begins a draft with the rest of the memory's `rank`-th nearest trajectory; `None` if there is
+    /// none.
+    fn begin_remembered(&mut self, course: &Course<'_>, rank: usize) -> Option<()> {
+        let Policy { task, settings } = self.policy;
+        let input = task.recall_input(&self.initial.points);
+        let mut found = [0.0; MAX_INPUTS];
+        let found = found.get_mut(..input.len())?;
+        let mut remembered = [[0.0; DOF]; COMMANDS];
+        let periods = task.ts / task.period;
+        self.memory?
+            .trajectory(&input, rank, periods, found, &mut remembered)?;
+        let points = found.as_chunks().0.get(..self.initial.points.len())?;
+        let points: Points = points.iter().copied().collect();
+        let start = pattern(&InitialState::new(task, settings.model, &points), task)?;
+        self.draft.begin(&start, false).copy_from_slice(&remembered);
+        self.draft.pass_by(0.0, course);
+        let [least, most] = course.bounds;
+        for command in self.draft.way.commands_mut() {
+            let bounds = least.iter().zip(&most);
+            let pairs = command.iter_mut().zip(bounds);
+            pairs.for_each(|(v, (least, most))| *v = v.max(*least).min(*most));
+        }
+        Some(())
     }
 
     /// Simulates the law along the draft; it becomes the incumbent if it is cheaper.
@@ -869,7 +903,12 @@ impl Thinker<'_> {
             } else if now.guide.ahead == 0 {
                 now.idle += 1;
             }
-            if now.idle > PATIENCE && !is_known {
+            // The last pixels take longer.
+            let patience = match error_px < FAR * self.converged_px {
+                true => NEAR * PATIENCE,
+                false => PATIENCE,
+            };
+            if now.idle > patience && !is_known {
                 break;
             }
             if error_px < self.converged_px {
@@ -939,21 +978,27 @@ impl Thinker<'_> {
 /// `None` where the pattern's pose is not known.
 fn course<'a>(policy: &Policy<'a>, initial: &InitialState, extra_px: f64) -> Option<Course<'a>> {
     let Policy { task, settings } = *policy;
-    let pose = initial.pose(task)?;
+    let start = pattern(initial, task)?;
     let drift = Vector6::from(initial.drift.twist);
     let limits = Vector6::from(task.limits);
     Some(Course {
         task,
-        start: Motion {
-            rotation: pose.rotation,
-            translation: pose.translation,
-        },
+        start,
         bounds: [-limits - drift, limits - drift].map(Into::into),
         np: settings.np,
         steps: COMMANDS,
         margin_px: settings.margin_px + extra_px,
         barrier: Barrier::NONE,
         damping: 0.0,
+    })
+}
+
+/// Where the pattern is in the camera frame; `None` where its pose is not known.
+fn pattern(initial: &InitialState, task: &Task) -> Option<Motion> {
+    let pose = initial.pose(task)?;
+    Some(Motion {
+        rotation: pose.rotation,
+        translation: pose.translation,
     })
 }
 

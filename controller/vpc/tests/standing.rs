@@ -3,13 +3,14 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use memory_blob::MemoryFile;
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use serde_json::Value;
 use vpc::foresight::Outcome;
 use vpc::motion::Motion;
 use vpc::way::COMMANDS;
-use vpc::{DOF, Law, Measurement, Settings, Strategy, camera, task};
+use vpc::{DOF, Law, Measurement, MotionMemory, Settings, Strategy, camera, task};
 
 /// From this fixed start on, the settings were chosen without knowledge of the best ways.
 const FIRST: usize = 55;
@@ -30,7 +31,13 @@ fn seen(scene: &Scene, points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
 }
 
 /// Runs the law from a start after `standing` cycles in which zero is sent.
-fn run(scene: &Scene, start: &Pose, known: f64, standing: u64) -> Run {
+fn run(
+    scene: &Scene,
+    memory: Option<&dyn MotionMemory>,
+    start: &Pose,
+    known: f64,
+    standing: u64,
+) -> Run {
     let settings = Settings {
         strategy: Strategy::Foresight,
         ..Settings::default()
@@ -44,12 +51,12 @@ fn run(scene: &Scene, start: &Pose, known: f64, standing: u64) -> Run {
         let pixels = seen(scene, &points);
         let now_ns = (k as f64 * period * 1e9).round() as u64;
         let measured = Measurement::from_points(&pixels).taken(now_ns, now_ns);
-        let step = law.step(&measured, None).unwrap();
+        let step = law.step(&measured, memory).unwrap();
         if k < standing {
             law.sent(&[0.0; DOF], now_ns);
             // As the gate does where another command was sent.
             law.skip_mismatch();
-            law.think(None);
+            law.think(memory);
             promised = match law.foreseen().outcome {
                 Outcome::Arrives { cost, .. } => cost / periods,
                 _ => f64::INFINITY,
@@ -67,7 +74,7 @@ fn run(scene: &Scene, start: &Pose, known: f64, standing: u64) -> Run {
         }
         cost += step.cost / np;
         law.sent(&step.twist, now_ns);
-        law.think(None);
+        law.think(memory);
         let motion = Motion::of_camera(&step.twist, period);
         points.iter_mut().for_each(|x| *x = motion.apply(x));
     }
@@ -122,22 +129,28 @@ fn by_half_of_a_command_the_camera_comes_half_a_step_further() {
     }
 }
 
+/// With `VPC_LONG` from all starts; with `VPC_MEMORY=FILE` by this memory.
 #[test]
 fn a_second_before_it_is_armed_shows_most_of_the_best_ways() {
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     let known: Value = serde_json::from_str(include_str!("../fixtures/oracle.json")).unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
     let pairs = starts.iter().zip(known["ways"].as_array().unwrap());
+    let is_long = std::env::var_os("VPC_LONG").is_some();
     let pairs = pairs
-        .skip(FIRST)
-        .map(|(start, way)| (start, way["cost"].as_f64().unwrap()));
+        .skip(if is_long { 0 } else { FIRST })
+        .filter_map(|(start, way)| Some((start, way.get("cost")?.as_f64()?)));
+    let memory = std::env::var_os("VPC_MEMORY");
+    let memory = memory.map(|file| MemoryFile::open(file.as_ref(), None).unwrap());
     let pairs: Vec<_> = pairs.collect();
-    for (standing, nine_of_ten, most) in [(0, 30.0, 260.0), (30, 10.0, 60.0)] {
+    for (standing, nine_of_ten, most) in [(0, 30.0, 260.0), (30, 10.0, 70.0)] {
         let next = AtomicUsize::new(0);
         let work = || {
+            let view = memory.as_ref().map(MemoryFile::view);
+            let memory = view.as_ref().map(|view| view as &dyn MotionMemory);
             let taken = std::iter::from_fn(|| pairs.get(next.fetch_add(1, Ordering::Relaxed)));
             taken
-                .map(|(start, cost)| run(&scene, start, *cost, standing))
+                .map(|(start, cost)| run(&scene, memory, start, *cost, standing))
                 .collect::<Vec<_>>()
         };
         let mut runs = std::thread::scope(|scope| {
@@ -158,8 +171,11 @@ fn a_second_before_it_is_armed_shows_most_of_the_best_ways() {
             at(0.9),
             at(1.0)
         );
+        let dearest = runs.iter().rev().take(6).map(|run| run.beyond.round());
+        println!("the dearest: {:?}", dearest.collect::<Vec<_>>());
         let promised = runs.iter().filter(|run| run.was_promised).count();
-        assert_eq!(promised > 40, standing > 0, "{promised} promised");
+        let is_most = promised > runs.len() * 8 / 9;
+        assert_eq!(is_most, standing > 0, "{promised} promised");
         assert!(at(0.5) < 2.0 && at(0.9) < nine_of_ten && at(1.0) < most);
     }
 }
