@@ -63,8 +63,10 @@ impl Build {
         let collected = clock.elapsed();
         if progress.trajectories.is_empty() {
             bail!(
-                "--foresight: none of {} starts needs a trajectory, so no memory is written; foresight does without one",
-                progress.tried
+                "--foresight: no memory is written: none of {} starts needs a trajectory, and from {} foresight does not \
+                 arrive after long thought either",
+                progress.tried,
+                progress.causes.iter().sum::<u64>()
             );
         }
         memory::contents(&scene.scene, &task, &settings, &progress)?.write(&self.output)?;
