@@ -113,8 +113,9 @@ const TURN: f64 = 1.0;
 const SMALLEST: f64 = 0.5;
 /// A future ends as stalled after this many steps towards the goal without progress.
 const PATIENCE: u32 = 6;
-/// So many times longer where the law only regulates.
-const NEAR: u32 = 4;
+/// Below this multiple of the convergence threshold it takes so many times longer.
+const NEAR: f64 = 2.0;
+const LAST: u32 = 4;
 /// A step is progress if it reduces the least distance so far to below this share.
 const PROGRESS: f64 = 0.99;
 /// An incumbent that arrives is simulated again after this many steps. Until then its promised cost
@@ -904,8 +905,8 @@ impl Thinker<'_> {
                 now.idle += 1;
             }
             // The last pixels take longer.
-            let patience = match error_px < FAR * self.converged_px {
-                true => NEAR * PATIENCE,
+            let patience = match error_px < NEAR * self.converged_px {
+                true => LAST * PATIENCE,
                 false => PATIENCE,
             };
             if now.idle > patience && !is_known {
