@@ -123,8 +123,8 @@ impl<'a> Samples<'a> {
         [trajectory[index], period[index]].map(|x| x as u32)
     }
 
-    /// Calls `visit` with the periods from a sample to each of its trajectory from there on, itself
-    /// first or not, and with their indices. Looks at all samples.
+    /// Calls `visit` for each sample of a trajectory from a sample on, that one too, in the order of
+    /// the file: with the control periods between the two, and its index. Looks at all samples.
     pub fn rest(&self, index: usize, mut visit: impl FnMut(u32, usize)) {
         let [of, from] = self.origin(index);
         let (trajectories, periods) = self.origin.split_at(self.origin.len() / 2);

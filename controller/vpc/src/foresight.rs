@@ -39,7 +39,7 @@ use crate::motion::{Motion, Own};
 use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
 use crate::recall::{self, MotionMemory, Recall};
-use crate::refine::Refiner;
+use crate::refine::{self, Refiner};
 use crate::solver::Solver;
 use crate::strategy::Strategy;
 use crate::task::Task;
@@ -590,11 +590,9 @@ impl Thinker<'_> {
         let start = pattern(&InitialState::new(task, settings.model, &points), task)?;
         self.draft.begin(&start, false).copy_from_slice(&remembered);
         self.draft.pass_by(0.0, course);
-        let [least, most] = course.bounds;
+        let [least, most] = course.bounds.map(Vector6::from);
         for command in self.draft.way.commands_mut() {
-            let bounds = least.iter().zip(&most);
-            let pairs = command.iter_mut().zip(bounds);
-            pairs.for_each(|(v, (least, most))| *v = v.max(*least).min(*most));
+            *command = refine::clamped(&Vector6::from(*command), &least, &most).into();
         }
         Some(())
     }

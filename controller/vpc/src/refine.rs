@@ -231,7 +231,8 @@ fn reduced(matrix: &Matrix6<f64>, free: &[bool; DOF]) -> Matrix6<f64> {
     })
 }
 
-fn clamped(x: &Vector6<f64>, least: &Vector6<f64>, most: &Vector6<f64>) -> Vector6<f64> {
+/// A command inside its bounds.
+pub(crate) fn clamped(x: &Vector6<f64>, least: &Vector6<f64>, most: &Vector6<f64>) -> Vector6<f64> {
     x.zip_zip_map(least, most, |x, least, most| x.max(least).min(most))
 }
 

@@ -93,19 +93,22 @@ fn run(
             let now_ns = (cycle as f64 * task.period * 1e9).round() as u64;
             let measured = Measurement::from_points(points).taken(now_ns, now_ns);
             let step = law.step(&measured, memory).ok()?;
-            cycle += 1;
-            if cycle > standing {
-                is_over |= step.error_px < scene.success.convergence_px;
-                if !is_over {
-                    cost += step.cost / np;
-                }
-                law.sent(&step.twist, now_ns);
-                law.think(memory);
-                return Some(step.twist);
+            let stands = cycle < standing;
+            let twist = if stands { [0.0; DOF] } else { step.twist };
+            law.sent(&twist, now_ns);
+            if stands {
+                law.skip_mismatch();
             }
-            law.sent(&[0.0; DOF], now_ns);
-            law.skip_mismatch();
             law.think(memory);
+            cycle += 1;
+            if stands {
+                continue;
+            }
+            is_over |= step.error_px < scene.success.convergence_px;
+            if !is_over {
+                cost += step.cost / np;
+            }
+            return Some(twist);
         }
     })?;
     Ok((cost, trajectory))

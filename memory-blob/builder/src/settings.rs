@@ -89,15 +89,15 @@ pub struct ForesightSettings {
     #[default = 500]
     #[schemars(range(min = 1, max = 10000000))]
     pub starts: u64,
-    /// The pause before it moves, in which it thinks, as it does until it is armed.
+    /// Foresight thinks for so long before the run that is compared, as it does until it is armed.
     #[default = 1.0]
     #[schemars(range(min = 0, max = 3600), extend("x-unit" = "s"))]
     pub pause_s: f64,
-    /// The same for the best way from each start.
+    /// Foresight thinks for so long about the best way from a start.
     #[default = 10.0]
     #[schemars(range(min = 0, max = 3600), extend("x-unit" = "s"))]
     pub think_s: f64,
-    /// A trajectory is kept where the run costs this many times as much.
+    /// A trajectory is kept where the run costs more than this many times the best.
     #[default = 1.05]
     #[schemars(range(min = 1, max = 100))]
     pub pays: f64,
