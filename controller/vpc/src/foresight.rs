@@ -44,7 +44,7 @@ use crate::solver::Solver;
 use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::way::{COMMANDS, Way};
-use crate::{DOF, MAX_POINTS, Points, Twist, gate, random};
+use crate::{DOF, MAX_POINTS, Points, Twist, gate, random, work};
 
 /// A candidate that arrives replaces another one that arrives if it costs less than this share of
 /// the other's cost.
@@ -395,6 +395,8 @@ pub(crate) struct Thinker<'a> {
     pub simulated: u32,
     /// Commands of the last simulation that are recorded.
     pub recorded: usize,
+    /// Counted work of the searches in the memory.
+    pub searched: u64,
 }
 
 impl Thinker<'_> {
@@ -468,7 +470,7 @@ impl Thinker<'_> {
     /// Counted work so far.
     fn done(&self) -> u64 {
         let refined = self.refiner.as_ref().map_or(0, |refiner| refiner.work);
-        self.solver.done() + refined
+        self.solver.done() + refined + self.searched
     }
 
     /// Refines drafts, and follows one if its simulated future is cheaper.
@@ -583,12 +585,18 @@ impl Thinker<'_> {
         let found = found.get_mut(..input.len())?;
         let mut remembered = [[0.0; DOF]; COMMANDS];
         let periods = task.ts / task.period;
-        self.memory?
-            .trajectory(&input, rank, periods, found, &mut remembered)?;
+        let memory = self.memory?;
+        self.searched += work::search_trajectory(memory.count(), input.len());
+        memory.trajectory(&input, rank, periods, found, &mut remembered)?;
         let points = found.as_chunks().0.get(..self.initial.points.len())?;
         let points: Points = points.iter().copied().collect();
         let start = pattern(&InitialState::new(task, settings.model, &points), task)?;
-        self.draft.begin(&start, false).copy_from_slice(&remembered);
+        // It led past the occlusions.
+        // The nearest is bent least, and keeps its side of the occlusions.
+        let is_clear = rank == 1;
+        self.draft
+            .begin(&start, is_clear)
+            .copy_from_slice(&remembered);
         self.draft.pass_by(0.0, course);
         let [least, most] = course.bounds.map(Vector6::from);
         for command in self.draft.way.commands_mut() {
@@ -681,7 +689,8 @@ impl Thinker<'_> {
         }
         // Each simulated candidate takes at least one step, so this number of draws is enough.
         for _ in 0..self.budget {
-            if self.budget == 0 || foresight.suspended.is_some() {
+            let is_over = self.budget == 0 || self.done() >= self.most_work;
+            if is_over || foresight.suspended.is_some() {
                 return;
             }
             foresight.drawn += 1;
@@ -696,20 +705,22 @@ impl Thinker<'_> {
     /// The candidate of this number, over a sample. While no way is known, candidates over two
     /// samples and with a step aside take turns with it. `None` if there is no memory, or if the
     /// sample costs too much.
-    fn drawn(&self, number: u64, best: Outcome) -> Option<Guide> {
+    fn drawn(&mut self, number: u64, best: Outcome) -> Option<Guide> {
         let (knows_a_way, most) = match best {
             Outcome::Arrives { cost, .. } => (true, HOPEFUL * cost),
             _ => (false, f64::INFINITY),
         };
-        let sample = || self.over_sample(Guide::GOAL, number, most);
         match number % 4 {
             1 if !knows_a_way => {
                 let second = self.over_sample(Guide::GOAL, 4 * number + 1, most)?;
                 self.over_sample(second, number, most)
             }
             2 if !knows_a_way => Some(self.aside(Guide::GOAL, number)),
-            3 if !knows_a_way => Some(self.aside(sample().unwrap_or(Guide::GOAL), number)),
-            _ => sample(),
+            3 if !knows_a_way => {
+                let sample = self.over_sample(Guide::GOAL, number, most);
+                Some(self.aside(sample.unwrap_or(Guide::GOAL), number))
+            }
+            _ => self.over_sample(Guide::GOAL, number, most),
         }
     }
 
@@ -777,7 +788,7 @@ impl Thinker<'_> {
 
     /// The guide `then` with a sample as a sub-goal before it; `None` without a memory, or if the
     /// rest of the sample's trajectory alone costs more than `most`.
-    fn over_sample(&self, then: Guide, number: u64, most: f64) -> Option<Guide> {
+    fn over_sample(&mut self, then: Guide, number: u64, most: f64) -> Option<Guide> {
         let points = &self.initial.points;
         let input = self.policy.task.recall_input(points);
         let mut found = [0.0; MAX_INPUTS];
@@ -785,7 +796,10 @@ impl Thinker<'_> {
         let memory = self.memory?;
         let uniform = uniform(number, 0);
         let cost_to_go = match number % 2 {
-            0 => memory.neighbour(&input, 1 + (uniform * uniform * RANKS) as usize, found),
+            0 => {
+                self.searched += work::search(memory.count(), input.len());
+                memory.neighbour(&input, 1 + (uniform * uniform * RANKS) as usize, found)
+            }
             _ => memory.sample((uniform * memory.count() as f64) as usize, found),
         }?;
         let target = found.as_chunks().0.get(..points.len())?;

@@ -352,6 +352,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             most_work: self.share.thinking,
             simulated: 0,
             recorded: 0,
+            searched: 0,
         };
         thinker.think(&mut self.state.foresight);
     }

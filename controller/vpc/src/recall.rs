@@ -13,6 +13,8 @@ use crate::{DOF, MAX_POINTS, Points, Twist, constraint, limit};
 const MOST_TWIST: f64 = 2.0;
 /// Samples of a memory that is searched for a trajectory, at most: each is looked at.
 const MOST_SCANNED: usize = 65_536;
+/// Most commands of the rest of a trajectory.
+const LONGEST: usize = 64;
 /// Largest allowed distance of a way point from the image, as a share of the image.
 const MOST_OUTSIDE: f64 = 0.25;
 
@@ -69,8 +71,8 @@ pub trait MotionMemory {
     }
 
     /// The rest of the `rank`-th nearest trajectory, from 1, from its nearest sample on: writes the
-    /// input of that sample, and a command for every `periods` control periods, zero after its end.
-    /// `None` if there is none.
+    /// input of that sample, and a command for every `periods` control periods, zero after its end
+    /// and after 64. `None` if there is none.
     fn trajectory(
         &self,
         _input: &[f64],
@@ -136,24 +138,28 @@ fn nearest_of_trajectory(samples: &Samples<'_>, input: &[f64], rank: usize) -> O
     })
 }
 
-/// The commands of a trajectory from a sample on, each held until the next one that is stored.
+/// The commands of a trajectory from a sample on, each held until the next one that is stored; the
+/// mean where several are stored between two of them.
 fn write_rest(samples: &Samples<'_>, index: usize, periods: f64, commands: &mut [Twist]) {
-    commands.fill([f64::NAN; DOF]);
+    commands.fill([0.0; DOF]);
+    let mut counts = [0_u32; LONGEST];
     samples.rest(index, |period, other| {
         let at = (f64::from(period) / periods) as usize;
-        let twist = samples.output(other).first_chunk();
-        if let (Some(place), Some(twist)) = (commands.get_mut(at), twist) {
-            *place = *twist;
+        let twist = samples.output(other).first_chunk::<DOF>();
+        if let (Some(mean), Some(count), Some(twist)) =
+            (commands.get_mut(at), counts.get_mut(at), twist)
+        {
+            *count += 1;
+            let pairs = mean.iter_mut().zip(twist);
+            pairs.for_each(|(mean, v)| *mean += (v - *mean) / f64::from(*count));
         }
     });
-    let is_stored = |command: &Twist| command.iter().all(|v| v.is_finite());
-    let last = commands.iter().rposition(is_stored);
+    let last = counts.iter().rposition(|count| *count > 0);
     let mut held = [0.0; DOF];
-    for (at, command) in commands.iter_mut().enumerate() {
-        match is_stored(command) {
-            true => held = *command,
-            false if Some(at) < last => *command = held,
-            false => *command = [0.0; DOF],
+    for (at, (command, count)) in commands.iter_mut().zip(counts).enumerate() {
+        match count {
+            0 if Some(at) < last => *command = held,
+            _ => held = *command,
         }
     }
 }
@@ -283,6 +289,9 @@ mod tests {
             [[0.0, 7.0], [0.0, 10.0], [0.0, 13.0], [0.0; 2]]
         );
         assert_eq!(ask(3, 1.0), None);
+        // Two samples in the time of each command.
+        let (_, commands) = ask(1, 6.0).unwrap();
+        assert_eq!(commands[..3], [[1.0, 8.5], [1.0, 13.0], [0.0; 2]]);
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! A controller of any size is made, steps and thinks on the stack of a small thread.
 
+use std::sync::atomic::{AtomicU32, Ordering};
+
 use scene::{Pose, Scene, write_mask};
-use vpc::{Law, Measurement, MotionMemory, Settings, Strategy, Task};
+use vpc::{Law, Measurement, MotionMemory, Settings, Strategy, Task, Twist};
 
 /// Stack of the thread, bytes.
 const STACK: usize = 256 << 10;
@@ -60,8 +62,8 @@ fn largest() -> Scene {
     scene
 }
 
-/// A memory with one sample: the goal.
-struct Goal(Task);
+/// A memory with one sample, the goal, whose trajectory stands still; how often that was asked for.
+struct Goal(Task, AtomicU32);
 
 impl MotionMemory for Goal {
     fn infer(&self, _: Strategy, _: &[f64], output: &mut [f64]) -> bool {
@@ -90,11 +92,25 @@ impl MotionMemory for Goal {
             .for_each(|(to, from)| *to = *from);
         Some(0.0)
     }
+
+    fn trajectory(
+        &self,
+        _: &[f64],
+        rank: usize,
+        _: f64,
+        found: &mut [f64],
+        commands: &mut [Twist],
+    ) -> Option<()> {
+        self.1.fetch_add(1, Ordering::Relaxed);
+        commands.fill([0.0; vpc::DOF]);
+        self.sample(rank, found).map(|_| ())
+    }
 }
 
-/// Runs a controller in a thread of its own; returns the numbers of its workspace.
-fn run(scene: &Scene, settings: Settings) -> usize {
-    let memory = Goal(Task::new(scene).unwrap());
+/// Runs a controller in a thread of its own; returns the numbers of its workspace, and how many
+/// trajectories it asked for.
+fn run(scene: &Scene, settings: Settings) -> (usize, u32) {
+    let memory = Goal(Task::new(scene).unwrap(), AtomicU32::new(0));
     let work = || {
         let mut numbers = 0;
         let lend = |len| {
@@ -119,10 +135,11 @@ fn run(scene: &Scene, settings: Settings) -> usize {
         }
         numbers
     };
-    std::thread::scope(|threads| {
+    let numbers = std::thread::scope(|threads| {
         let thread = std::thread::Builder::new().stack_size(STACK);
         thread.spawn_scoped(threads, work).unwrap().join().unwrap()
-    })
+    });
+    (numbers, memory.1.into_inner())
 }
 
 #[test]
@@ -131,7 +148,8 @@ fn a_controller_lives_on_a_stack_of_256_kib() {
         strategy: Strategy::Foresight,
         ..Settings::default()
     };
-    let usual = run(&usual(), foresight);
+    let (usual, asked) = run(&usual(), foresight);
+    assert_eq!(asked, 8);
     let longest = Settings {
         np: vpc::MAX_NP,
         nc: vpc::MAX_NC,
@@ -139,7 +157,7 @@ fn a_controller_lives_on_a_stack_of_256_kib() {
         iterations: 3,
         ..foresight
     };
-    let largest = run(&largest(), longest);
+    let (largest, _) = run(&largest(), longest);
     // The workspace is as small as the problem allows, and no larger than promised.
     assert!(usual < 6_500 && largest <= 60_000, "{usual}, {largest}");
 }

@@ -10,7 +10,7 @@ use serde_json::Value;
 use vpc::foresight::Outcome;
 use vpc::motion::Motion;
 use vpc::way::COMMANDS;
-use vpc::{DOF, Law, Measurement, MotionMemory, Settings, Strategy, camera, task};
+use vpc::{DOF, Law, Measurement, MotionMemory, Settings, Strategy, Twist, camera, task};
 
 /// From this fixed start on, the settings were chosen without knowledge of the best ways.
 const FIRST: usize = 55;
@@ -22,6 +22,36 @@ struct Run {
     /// Whether a way was known when it was armed.
     was_promised: bool,
     cycles: u32,
+    commands: Vec<Twist>,
+}
+
+/// A memory of one run.
+struct OneRun {
+    start: Vec<[f64; 2]>,
+    commands: Vec<Twist>,
+}
+
+impl MotionMemory for OneRun {
+    fn infer(&self, _: Strategy, _: &[f64], _: &mut [f64]) -> bool {
+        false
+    }
+
+    fn trajectory(
+        &self,
+        _: &[f64],
+        rank: usize,
+        periods: f64,
+        found: &mut [f64],
+        commands: &mut [Twist],
+    ) -> Option<()> {
+        assert_eq!(periods, 1.0);
+        let pairs = found.iter_mut().zip(self.start.iter().flatten());
+        pairs.for_each(|(to, from)| *to = *from);
+        let own = self.commands.iter().chain(std::iter::repeat(&[0.0; DOF]));
+        let pairs = commands.iter_mut().zip(own);
+        pairs.for_each(|(to, from)| *to = *from);
+        (rank == 1).then_some(())
+    }
 }
 
 /// The image of the points, px.
@@ -47,6 +77,7 @@ fn run(
     let mut points: Vec<Vector3<f64>> = task::placed(&scene.pattern, start).collect();
     let period = scene.sampling_time();
     let (mut cost, mut promised) = (0.0, f64::INFINITY);
+    let mut commands = Vec::new();
     for k in 0..standing + periods as u64 {
         let pixels = seen(scene, &points);
         let now_ns = (k as f64 * period * 1e9).round() as u64;
@@ -70,9 +101,11 @@ fn run(
                 beyond: 100.0 * (cost / known - 1.0),
                 was_promised: promised.is_finite(),
                 cycles: (k - standing) as u32,
+                commands,
             };
         }
         cost += step.cost / np;
+        commands.push(step.twist);
         law.sent(&step.twist, now_ns);
         law.think(memory);
         let motion = Motion::of_camera(&step.twist, period);
@@ -126,6 +159,26 @@ fn by_half_of_a_command_the_camera_comes_half_a_step_further() {
         let (rest, spent) = left(shares);
         assert!((none - rest - passed).abs() < 1e-9, "{shares:?}: {rest}");
         assert!((spent - passed).abs() < 1e-9, "{shares:?}: {spent}");
+    }
+}
+
+/// From these two the best way is found late; a memory of a run that had time has it.
+#[test]
+fn what_a_memory_holds_of_a_start_is_found_from_there() {
+    let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    for start in [56, 93].map(|k| &starts[k]) {
+        let run = |memory, standing| run(&scene, memory, start, 1.0, standing);
+        let (short, long) = (run(None, 40), run(None, 300));
+        let points: Vec<Vector3<f64>> = task::placed(&scene.pattern, start).collect();
+        let memory = OneRun {
+            start: seen(&scene, &points),
+            commands: long.commands.clone(),
+        };
+        let with = run(Some(&memory), 40);
+        let [short, long, with] = [&short, &long, &with].map(|run| 1.0 + run.beyond / 100.0);
+        println!("without {short:.2}, with a memory {with:.2}, after ten seconds {long:.2}");
+        assert!(short > 1.1 * long && with < 1.02 * long);
     }
 }
 
