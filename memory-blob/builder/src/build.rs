@@ -1,5 +1,6 @@
 //! The building of a memory: batches of starts, each tried against the memory as it was before the
-//! batch, so that the same seed gives the same memory whatever the number of threads.
+//! batch, so that the same seed gives the same memory whatever the number of threads. What
+//! foresight needs is tried once more, in order, against what its batch has given.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -55,6 +56,12 @@ pub enum BuildError {
     /// The scene gives no task.
     #[error("{0}")]
     Task(vpc::TaskError),
+    /// Foresight needs the joints of an arm, which a build does not have.
+    #[error("the scene has an arm; allowed with --foresight: scenes without one")]
+    Arm,
+    /// The scene gives no law for foresight.
+    #[error("--foresight: {0}")]
+    Law(vpc::SettingsError),
     /// Nothing succeeds.
     #[error(
         "building: {tried} starts tried, {found} successful, none in the last {HOPELESS_BATCHES} batches; allowed: a \
@@ -81,6 +88,9 @@ pub fn collect(
     report: &mut dyn FnMut(&Progress),
 ) -> Result<Progress, BuildError> {
     let task = Task::new(scene).map_err(BuildError::Task)?;
+    if settings.foresight.is_some() {
+        foresight::check(scene)?;
+    }
     let mut store = Store::new(&task);
     progress
         .trajectories
@@ -93,7 +103,7 @@ pub fn collect(
         rng.set_stream(progress.batches + 1);
         let adapting = progress.trajectories.len() as f64 >= settings.adapt_after * wanted as f64;
         let failures = adapting.then_some(progress.failures.as_slice());
-        let starts = draw_starts(scene, &task, settings, failures, &mut rng)?;
+        let mut starts = draw_starts(scene, &task, settings, failures, &mut rng)?;
         let before = progress.trajectories.len();
         match &settings.foresight {
             None => {
@@ -101,6 +111,7 @@ pub fn collect(
                 keep(&task, settings, &starts, trials, &mut store, &mut progress);
             }
             Some(foresight) => {
+                starts.truncate((foresight.starts - progress.tried) as usize);
                 let needs = needs(scene, &task, foresight, &store, &starts, stop)?;
                 let Some(needs) = needs else { break };
                 keep_needed(
@@ -186,7 +197,7 @@ fn keep(
 }
 
 /// Runs foresight from every start of a batch, with the memory before it; `None` where `stop` ends
-/// that.
+/// that, and the whole batch is to be done again.
 fn needs(
     scene: &Scene,
     task: &Task,

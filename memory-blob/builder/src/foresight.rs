@@ -5,6 +5,7 @@ use memory_blob::{Draft, WriteError};
 use scene::{Pose, Scene};
 use vpc::{DOF, Law, Measurement, MotionMemory, Settings, Strategy, Task};
 
+use crate::build::BuildError;
 use crate::memory;
 use crate::settings::ForesightSettings;
 use crate::store::{Store, Trajectory};
@@ -70,6 +71,26 @@ pub fn asked(scene: &Scene, store: &Store) -> Result<Option<Draft>, WriteError> 
         .transpose()
 }
 
+/// Whether foresight runs in a scene.
+///
+/// # Errors
+/// [`BuildError`] where it has an arm or gives no law.
+pub fn check(scene: &Scene) -> Result<(), BuildError> {
+    if scene.arm.is_some() {
+        return Err(BuildError::Arm);
+    }
+    let law = Law::new(scene, settings(), |len| vec![0.0; len]);
+    law.map(drop).map_err(BuildError::Law)
+}
+
+/// Those of a law as it is without a configuration.
+fn settings() -> Settings {
+    Settings {
+        strategy: Strategy::Foresight,
+        ..Settings::default()
+    }
+}
+
 /// Runs foresight from a start, where the camera stands for so long at first, s; the cost of the
 /// rest, and its trajectory.
 fn run(
@@ -79,16 +100,14 @@ fn run(
     memory: Option<&dyn MotionMemory>,
     pause_s: f64,
 ) -> Result<(f64, Trajectory), Failure> {
-    let settings = Settings {
-        strategy: Strategy::Foresight,
-        ..Settings::default()
-    };
+    let settings = settings();
     let (np, standing) = (settings.np as f64, (pause_s * scene.camera.rate_hz) as u64);
     let law = Law::new(scene, settings, |len| vec![0.0; len]);
     let mut law = law.map_err(|_| Failure::NoSolution)?;
     let (mut cycle, mut cost) = (0_u64, 0.0);
     let mut is_over = false;
-    let trajectory = trajectory::run(scene, task, start, |points, _, _| {
+    // The law knows itself when to wait.
+    let trajectory = trajectory::run(scene, task, start, usize::MAX, |points, _, _| {
         loop {
             let now_ns = (cycle as f64 * task.period * 1e9).round() as u64;
             let measured = Measurement::from_points(points).taken(now_ns, now_ns);

@@ -30,8 +30,8 @@ enum Command {
     /// Build a memory for a scene: solve it from many random starts and fit the regression.
     ///
     /// Ctrl-C writes what has been collected to FILE.partial; the same command then goes on from
-    /// there and ends with the same file. The same seed gives the same file whatever the number of
-    /// threads.
+    /// there and ends with the same file; with --foresight an unfinished batch is done again. The
+    /// same seed gives the same file whatever the number of threads.
     Build(command::build::Build),
     /// Say what is in a memory.
     Inspect {

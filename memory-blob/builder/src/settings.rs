@@ -81,7 +81,9 @@ pub struct BuildSettings {
 }
 
 /// Trajectories of foresight: one is kept where foresight, with the memory so far and a short
-/// pause, fails or pays more than after long thought.
+/// pause, fails or pays more than after long thought. The law has its default settings then, and
+/// knows no arm; np, iterations, tolerance, planner and guide_after do not matter. A batch that is
+/// interrupted is done again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields, default)]
 pub struct ForesightSettings {

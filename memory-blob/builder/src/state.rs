@@ -46,7 +46,7 @@ pub enum StateError {
         what: String,
     },
     /// The file belongs to another build.
-    #[error("{path}: {key} is {found}; expected: {expected}")]
+    #[error("{path}: {key} is {found}; expected: {expected}; remove the file to begin anew")]
     Foreign {
         /// The file.
         path: String,

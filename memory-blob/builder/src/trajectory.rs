@@ -12,8 +12,8 @@ use crate::planner;
 use crate::solution::Finder;
 use crate::store::{Store, Trajectory};
 
-/// Periods without motion after which a trajectory counts as stuck, and those after which the
-/// solver starts from other directions.
+/// Periods without motion after which a trajectory of the paper's algorithms counts as stuck, and
+/// those after which the solver starts from other directions.
 const STUCK_PERIODS: usize = 6;
 const STALLED_PERIODS: usize = 3;
 /// Image motion below which a period counts as one without motion: share of the motion that the
@@ -46,7 +46,8 @@ pub struct Trial {
 }
 
 /// Runs from a start to the goal, step by step; `command` gives the next command from features,
-/// last command, and whether the features have not moved for some periods.
+/// last command, and whether the features have not moved for some periods. After `most_still` of
+/// them it counts as stuck.
 ///
 /// Source: paper, the first algorithm (its inner loop, with the condition "not converged and not
 /// failed").
@@ -54,6 +55,7 @@ pub(crate) fn run(
     scene: &Scene,
     task: &Task,
     start: &Pose,
+    most_still: usize,
     mut command: impl FnMut(&Points, &Twist, bool) -> Option<Twist>,
 ) -> Result<Trajectory, Failure> {
     let periods = (scene.success.time_s * scene.camera.rate_hz) as usize;
@@ -83,7 +85,7 @@ pub(crate) fn run(
         if largest_error(&points, &task.goal) < 0.5 * scene.success.convergence_px {
             return Ok(trajectory);
         }
-        if rest >= STUCK_PERIODS {
+        if rest >= most_still {
             return Err(Failure::Stuck);
         }
         twist = command(&points, &twist, rest >= STALLED_PERIODS).ok_or(Failure::NoSolution)?;
@@ -104,9 +106,10 @@ pub fn generate(
     rng: &mut ChaCha8Rng,
 ) -> Trial {
     let task = finder.task;
-    let found = run(scene, task, start, |points, previous, is_stalled| {
+    let command = |points: &Points, previous: &Twist, is_stalled| {
         finder.find(points, previous, is_stalled, store, rng)
-    });
+    };
+    let found = run(scene, task, start, STUCK_PERIODS, command);
     let failure = found.as_ref().err().copied();
     let may_plan = finder.settings.planner && failure.is_some();
     let planned = may_plan.then(|| planner::path(scene, task, start, rng));
@@ -131,7 +134,7 @@ fn follow(
     [0.15, 0.08, 0.04, 0.02].iter().find_map(|share| {
         let ahead = share * task.camera.width;
         let mut next = 0;
-        run(scene, task, start, |points, previous, _| {
+        run(scene, task, start, STUCK_PERIODS, |points, previous, _| {
             while next < path.len() && largest_distance(points, &path[next]) < ahead {
                 next += 1;
             }

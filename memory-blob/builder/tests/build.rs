@@ -116,6 +116,19 @@ fn foresight_s_trajectories_are_kept_where_it_pays_more_without_thought() {
     assert_eq!((nothing.tried, nothing.trajectories.len()), (8, 0));
 }
 
+#[test]
+fn foresight_is_not_asked_for_an_arm_whose_joints_nobody_knows() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/scenes/ur5e.toml");
+    let files = SceneFiles::read(path.as_ref()).unwrap();
+    let never = AtomicBool::new(false);
+    let begin = Progress::default();
+    let error = collect(&files.scene, &needed(1.02), begin, &never, &mut |_| ()).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "the scene has an arm; allowed with --foresight: scenes without one"
+    );
+}
+
 fn contents(task: &Task, settings: &BuildSettings, progress: &Progress) -> Contents {
     memory::contents(&scene(), task, settings, progress).unwrap()
 }

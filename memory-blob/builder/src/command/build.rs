@@ -61,17 +61,20 @@ impl Build {
         let clock = Instant::now();
         let progress = self.collect(&BuildIdentity::new(&scene, &settings), &grown, &settings)?;
         let collected = clock.elapsed();
-        if progress.trajectories.is_empty() {
+        let is_empty = progress.trajectories.is_empty();
+        if !is_empty {
+            memory::contents(&scene.scene, &task, &settings, &progress)?.write(&self.output)?;
+        }
+        if path.exists() {
+            fs::remove_file(&path).with_context(|| path.display().to_string())?;
+        }
+        if is_empty {
             bail!(
-                "--foresight: no memory is written: none of {} starts needs a trajectory, and from {} foresight does not \
-                 arrive after long thought either",
+                "--foresight: no memory is written: foresight needs no trajectory from any of {} starts ({} of them it \
+                 does not arrive from, whatever it thinks); try more starts, or a lower foresight.pays",
                 progress.tried,
                 progress.causes.iter().sum::<u64>()
             );
-        }
-        memory::contents(&scene.scene, &task, &settings, &progress)?.write(&self.output)?;
-        if path.exists() {
-            fs::remove_file(&path).with_context(|| path.display().to_string())?;
         }
         let file = open(&self.output, Some(&scene.scene))?;
         Ok(format!(
