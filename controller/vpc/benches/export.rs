@@ -16,7 +16,7 @@ use super::{REPEATS, REST, Solvers, peer, quantile};
 /// As many changes of the active set as the law allows.
 const CHANGES: u32 = 6 * DOF as u32;
 
-/// Solves everything from standing still and writes it to a JSON file: the answers, those of one
+/// Solves everything without a warm start and writes it to a JSON file: the answers, those of one
 /// problem a row, and two programs for each problem, about standing still and about our answer.
 pub fn write(path: &Path) {
     let (fixture, mut solvers) = (Fixture::read(), Solvers::new());
@@ -83,7 +83,7 @@ fn in_turn(solvers: &mut Solvers, case: &Case) -> [(f64, Twist); 3] {
         for (i, (times, answer)) in times.iter_mut().zip(&mut answers).enumerate() {
             let begin = Instant::now();
             *answer = match i {
-                0 => solvers.solve(black_box(case)),
+                0 => solvers.solve_cold(black_box(case)),
                 1 => peer::slsqp(black_box(case), &REST),
                 _ => peer::open(black_box(case), &REST),
             };

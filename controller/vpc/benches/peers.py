@@ -5,7 +5,7 @@
     venv/bin/pip install --no-deps --target venv/acados comma-deps-acados==0.2.2.post92
     venv/bin/python peers.py
 
-The problems are the 240 of ../fixtures/subproblems.json, each solved from standing still; no solver keeps anything
+The problems are the 240 of ../fixtures/subproblems.json, each solved without a warm start; no solver keeps anything
 from one solution to the next. The bench program solves them with the Rust crates and writes our quadratic programs;
 the rest is solved here, one after the other. Times of Rust crates and of SciPy are those of the call; the others are
 what the solver itself reports, without Python. The time of a quadratic program includes its setup; its data are copied
@@ -264,7 +264,7 @@ def compare_problems(problems, rust, directory):
         keys = {(p["scene"], p["np"]) for p in problems}
         solvers = {(scene, np): make(subproblems.SCENES[scene], np) for scene, np in keys}
         columns[name] = measured(lambda p: solvers[p["scene"], p["np"]](posed(p)), problems)
-    header(f"{len(problems)} problems from standing still", "within 1 % of SciPy's best of six", "violated > 0.1 px")
+    header(f"{len(problems)} problems without a warm start", "within 1 % of SciPy's best of six", "violated > 0.1 px")
     for name, (answers, times) in columns.items():
         good, violated = zip(*map(judge, problems, answers))
         show(name, [p["np"] for p in problems], times, columns["ours"][1], good, violated)

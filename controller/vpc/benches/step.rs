@@ -21,6 +21,7 @@ use vpc::{DOF, Task, Twist};
 
 const WINDOWS: [usize; 3] = [3, 10, 30];
 const REST: Twist = [0.0; DOF];
+const STANDING: [f64; vpc::MAX_VARIABLES] = [0.0; vpc::MAX_VARIABLES];
 /// Solutions of one problem in the table; their median counts.
 const REPEATS: usize = 5;
 
@@ -45,6 +46,12 @@ fn main() {
 fn ours(bencher: Bencher, np: usize) {
     let mut solvers = Solvers::new();
     each(bencher, np, |case| solvers.solve(case));
+}
+
+#[divan::bench(args = WINDOWS, sample_count = 500)]
+fn ours_without_a_warm_start(bencher: Bencher, np: usize) {
+    let mut solvers = Solvers::new();
+    each(bencher, np, |case| solvers.solve_cold(case));
 }
 
 #[divan::bench(args = WINDOWS, sample_count = 500)]
@@ -151,13 +158,23 @@ impl Solvers {
         Self([None, None, None])
     }
 
+    /// As a cycle does, from standing still.
     fn solve(&mut self, case: &Case) -> Twist {
+        let solution = self.of(case).solve(&case.problem(), &STANDING);
+        core::array::from_fn(|k| solution.plan[k])
+    }
+
+    /// By two searches.
+    fn solve_cold(&mut self, case: &Case) -> Twist {
+        let solution = self.of(case).solve_cold(&case.problem(), &STANDING);
+        core::array::from_fn(|k| solution.plan[k])
+    }
+
+    fn of(&mut self, case: &Case) -> &mut Solver<'static> {
         let index = WINDOWS.iter().position(|np| *np == case.np).unwrap();
         // A bench ends before it matters that this is never given back.
         let new = || case.solver(case.workspace().leak());
-        let solver = self.0[index].get_or_insert_with(new);
-        let solution = solver.solve_cold(&case.problem(), &[0.0; vpc::MAX_VARIABLES]);
-        core::array::from_fn(|k| solution.plan[k])
+        self.0[index].get_or_insert_with(new)
     }
 }
 
