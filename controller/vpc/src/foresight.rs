@@ -44,7 +44,8 @@ use crate::solver::Solver;
 use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::way::{COMMANDS, Way};
-use crate::{DOF, MAX_POINTS, Points, Twist, gate, random, work};
+use crate::work::{search, search_trajectory};
+use crate::{DOF, MAX_POINTS, Points, Twist, gate, random};
 
 /// A candidate that arrives replaces another one that arrives if it costs less than this share of
 /// the other's cost.
@@ -586,7 +587,7 @@ impl Thinker<'_> {
         let mut remembered = [[0.0; DOF]; COMMANDS];
         let periods = task.ts / task.period;
         let memory = self.memory?;
-        self.searched += work::search_trajectory(memory.count(), input.len());
+        self.searched += search_trajectory(memory.count(), input.len());
         memory.trajectory(&input, rank, periods, found, &mut remembered)?;
         let points = found.as_chunks().0.get(..self.initial.points.len())?;
         let points: Points = points.iter().copied().collect();
@@ -797,7 +798,7 @@ impl Thinker<'_> {
         let uniform = uniform(number, 0);
         let cost_to_go = match number % 2 {
             0 => {
-                self.searched += work::search(memory.count(), input.len());
+                self.searched += search(memory.count(), input.len());
                 memory.neighbour(&input, 1 + (uniform * uniform * RANKS) as usize, found)
             }
             _ => memory.sample((uniform * memory.count() as f64) as usize, found),
