@@ -16,6 +16,7 @@ use std::time::Instant;
 use divan::Bencher;
 use scene::Scene;
 use subproblem::{Case, Fixture, Subproblem};
+use vpc::problem::Solution;
 use vpc::solver::Solver;
 use vpc::{DOF, Task, Twist};
 
@@ -160,14 +161,12 @@ impl Solvers {
 
     /// As a cycle does, from standing still.
     fn solve(&mut self, case: &Case) -> Twist {
-        let solution = self.of(case).solve(&case.problem(), &STANDING);
-        core::array::from_fn(|k| solution.plan[k])
+        first(&self.of(case).solve(&case.problem(), &STANDING))
     }
 
     /// By two searches.
     fn solve_cold(&mut self, case: &Case) -> Twist {
-        let solution = self.of(case).solve_cold(&case.problem(), &STANDING);
-        core::array::from_fn(|k| solution.plan[k])
+        first(&self.of(case).solve_cold(&case.problem(), &STANDING))
     }
 
     fn of(&mut self, case: &Case) -> &mut Solver<'static> {
@@ -176,6 +175,11 @@ impl Solvers {
         let new = || case.solver(case.workspace().leak());
         self.0[index].get_or_insert_with(new)
     }
+}
+
+/// The first command.
+fn first(solution: &Solution) -> Twist {
+    core::array::from_fn(|k| solution.plan[k])
 }
 
 /// The smallest entry that this share of all does not exceed.

@@ -91,6 +91,10 @@ const fn detour(aside: [f64; 3], turn: [f64; 3]) -> Detour {
 
 /// The nearest trajectories of the memory, so many, are first guesses after these.
 const REMEMBERED: usize = 8;
+const _: () = assert!(
+    COMMANDS <= recall::LONGEST,
+    "a trajectory's rest fills a draft"
+);
 /// A simulated future is a first guess if it costs less than this multiple of the best known cost.
 const PROMISING: f64 = 2.0;
 /// Clearance of a draft beside the law's, px, and for each second by which features are older than
@@ -592,7 +596,6 @@ impl Thinker<'_> {
         let points = found.as_chunks().0.get(..self.initial.points.len())?;
         let points: Points = points.iter().copied().collect();
         let start = pattern(&InitialState::new(task, settings.model, &points), task)?;
-        // It led past the occlusions.
         // The nearest is bent least, and keeps its side of the occlusions.
         let is_clear = rank == 1;
         self.draft

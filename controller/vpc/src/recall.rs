@@ -14,7 +14,7 @@ const MOST_TWIST: f64 = 2.0;
 /// Samples of a memory that is searched for a trajectory, at most: each is looked at.
 const MOST_SCANNED: usize = 65_536;
 /// Most commands of the rest of a trajectory.
-const LONGEST: usize = 64;
+pub(crate) const LONGEST: usize = 64;
 /// Largest allowed distance of a way point from the image, as a share of the image.
 const MOST_OUTSIDE: f64 = 0.25;
 

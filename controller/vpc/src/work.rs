@@ -20,12 +20,12 @@ const PAIRS_A_ROW: usize = 20;
 /// Previews of the window beside the solution: the last check with its halvings, the running cost.
 const OTHER_PREVIEWS: u32 = 8;
 
-/// Looking for the nearest of so many samples of a memory.
+/// Looking for the nearest of so many samples of a memory, ns.
 pub(crate) const fn search(samples: usize, inputs: usize) -> u64 {
     samples as u64 * inputs as u64 / 4
 }
 
-/// Looking for the nearest trajectories, and for the rest of one.
+/// Looking for the nearest trajectories, and for the rest of one, ns.
 pub(crate) const fn search_trajectory(samples: usize, inputs: usize) -> u64 {
     search(samples, inputs) + 2 * samples as u64
 }

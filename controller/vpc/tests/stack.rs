@@ -62,12 +62,16 @@ fn largest() -> Scene {
     scene
 }
 
-/// A memory with one sample, the goal, whose trajectory stands still; how often that was asked for.
-struct Goal(Task, AtomicU32);
+/// A memory with one sample: the goal. Its trajectory stands still.
+struct Goal {
+    task: Task,
+    /// How often a trajectory was asked for.
+    asked: AtomicU32,
+}
 
 impl MotionMemory for Goal {
     fn infer(&self, _: Strategy, _: &[f64], output: &mut [f64]) -> bool {
-        let goal = self.0.goal.iter().flatten();
+        let goal = self.task.goal.iter().flatten();
         output
             .iter_mut()
             .skip(6)
@@ -85,7 +89,7 @@ impl MotionMemory for Goal {
     }
 
     fn sample(&self, _: usize, input: &mut [f64]) -> Option<f64> {
-        let goal = self.0.goal.iter().flatten();
+        let goal = self.task.goal.iter().flatten();
         input
             .iter_mut()
             .zip(goal)
@@ -101,7 +105,7 @@ impl MotionMemory for Goal {
         found: &mut [f64],
         commands: &mut [Twist],
     ) -> Option<()> {
-        self.1.fetch_add(1, Ordering::Relaxed);
+        self.asked.fetch_add(1, Ordering::Relaxed);
         commands.fill([0.0; vpc::DOF]);
         self.sample(rank, found).map(|_| ())
     }
@@ -110,7 +114,10 @@ impl MotionMemory for Goal {
 /// Runs a controller in a thread of its own; returns the numbers of its workspace, and how many
 /// trajectories it asked for.
 fn run(scene: &Scene, settings: Settings) -> (usize, u32) {
-    let memory = Goal(Task::new(scene).unwrap(), AtomicU32::new(0));
+    let memory = Goal {
+        task: Task::new(scene).unwrap(),
+        asked: AtomicU32::new(0),
+    };
     let work = || {
         let mut numbers = 0;
         let lend = |len| {
@@ -139,7 +146,7 @@ fn run(scene: &Scene, settings: Settings) -> (usize, u32) {
         let thread = std::thread::Builder::new().stack_size(STACK);
         thread.spawn_scoped(threads, work).unwrap().join().unwrap()
     });
-    (numbers, memory.1.into_inner())
+    (numbers, memory.asked.into_inner())
 }
 
 #[test]

@@ -24,8 +24,17 @@ fn settings() -> BuildSettings {
     }
 }
 
+fn files() -> SceneFiles {
+    SceneFiles::parse(scene::PAPER_SIM.to_owned(), "sim", &|_| unreachable!()).unwrap()
+}
+
 fn scene() -> Scene {
     Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap()
+}
+
+fn pool(threads: usize) -> rayon::ThreadPool {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+    pool.build().unwrap()
 }
 
 fn built(threads: usize) -> Progress {
@@ -33,23 +42,17 @@ fn built(threads: usize) -> Progress {
 }
 
 fn built_by(threads: usize, settings: &BuildSettings) -> Progress {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .unwrap();
+    let pool = pool(threads);
     let never = AtomicBool::new(false);
     pool.install(|| collect(&scene(), settings, Progress::default(), &never, &mut |_| ()).unwrap())
 }
 
 /// The same in the middle of batches, after waits that double.
 fn interrupted(threads: usize, settings: &BuildSettings) -> Progress {
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .unwrap();
+    let pool = pool(threads);
     let directory = tempfile::TempDir::new().unwrap();
     let path = directory.path().join("state");
-    let files = SceneFiles::parse(scene::PAPER_SIM.to_owned(), "sim", &|_| unreachable!()).unwrap();
+    let files = files();
     let build = BuildIdentity::new(&files, settings);
     let (mut wait, mut in_vain) = (Duration::from_millis(100), 0);
     loop {
@@ -153,7 +156,7 @@ fn an_interrupted_build_goes_on_to_the_same_memory() {
     let whole = built(2);
     let directory = tempfile::TempDir::new().unwrap();
     let path = directory.path().join("state");
-    let files = SceneFiles::parse(scene::PAPER_SIM.to_owned(), "sim", &|_| unreachable!()).unwrap();
+    let files = files();
     let build = BuildIdentity::new(&files, &settings());
     let mut progress = Progress::default();
     let mut interruptions = 0;
