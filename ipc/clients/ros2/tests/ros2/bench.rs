@@ -61,6 +61,8 @@ const JAZZY: Environment = Environment {
     ],
 };
 
+/// Longer than peer.py waits for any service: 10 s for its server and 60 s for a taught memory.
+const LONGEST_ANSWER: Duration = Duration::from_secs(80);
 /// Tries of a run that a machine's standstill ends.
 const TRIES: usize = 3;
 
@@ -109,7 +111,7 @@ impl Peer {
 
     /// The next answer.
     pub fn answer(&mut self) -> Value {
-        let line = self.answers.recv_timeout(PATIENCE);
+        let line = self.answers.recv_timeout(LONGEST_ANSWER);
         let line = line.expect("the peer answers");
         // NaN is no JSON, and no answer has one.
         serde_json::from_str(&line).unwrap_or_else(|why| panic!("{why}: {line}"))
