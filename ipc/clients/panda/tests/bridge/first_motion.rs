@@ -5,9 +5,14 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use rustix::process::Signal;
-use testkit::{Ended, Running, ended, root};
+use testkit::{Ended, Running, ended, root, tell};
 
 use crate::Robot;
+
+/// What a robot says that hears nothing for 20 ms, as a busy machine brings about.
+const LATE: &str = "communication_constraints_violation";
+/// Most tries of a motion that such a machine ends.
+const TRIES: usize = 4;
 
 fn first_motion(robot: &Robot, hand_eye: &Path) -> Ended {
     let mut bridge = robot.bridge_with("panda", hand_eye);
@@ -49,17 +54,29 @@ const MISTAKES: [(&str, Option<&str>, &[&str]); 9] = [
     ),
 ];
 
+/// The first motion of a robot with these mistakes, and what is said of it.
+fn in_time(truth: &str, hand_eye: Option<&str>) -> (Robot, Ended) {
+    for _ in 0..TRIES {
+        let robot = Robot::start(5, truth);
+        let file = match hand_eye {
+            Some(text) => robot.place.file("hand-eye.toml", text),
+            None => root().join("ipc/clients/panda/hand-eye.toml"),
+        };
+        let said = first_motion(&robot, &file);
+        if !said.stderr.contains(LATE) {
+            return (robot, said);
+        }
+        tell(format_args!("tried again: {}", said.stderr.trim()));
+    }
+    panic!("{LATE}, {TRIES} times");
+}
+
 #[test]
 fn each_mistake_is_named_and_only_a_right_camera_recommended() {
     std::thread::scope(|scope| {
         for (truth, hand_eye, words) in MISTAKES {
             scope.spawn(move || {
-                let robot = Robot::start(5, truth);
-                let file = match hand_eye {
-                    Some(text) => robot.place.file("hand-eye.toml", text),
-                    None => root().join("ipc/clients/panda/hand-eye.toml"),
-                };
-                let said = first_motion(&robot, &file);
+                let (robot, said) = in_time(truth, hand_eye);
                 let mistakes: Vec<_> = said
                     .stdout
                     .lines()
@@ -103,7 +120,6 @@ fn a_reflex_in_the_middle_ends_it_and_is_named() {
     bridge.signal(Signal::CONT);
     let said = bridge.ended();
     assert_eq!(said.code, Some(69), "{said:?}");
-    let name = "communication_constraints_violation";
-    assert!(said.stderr.contains(name), "{said:?}");
+    assert!(said.stderr.contains(LATE), "{said:?}");
     assert!(!said.stdout.contains("vpcctl arm"), "{said:?}");
 }
