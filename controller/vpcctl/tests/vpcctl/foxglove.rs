@@ -157,7 +157,7 @@ fn has(client: &Running, topic: &str, count: usize) -> bool {
 }
 
 /// Waits until it is so; looks seldom, because a client prints megabytes.
-fn wait(what: &str, is_so: impl Fn() -> bool) {
+fn wait(what: &str, mut is_so: impl FnMut() -> bool) {
     let end = Instant::now() + PATIENCE;
     while !is_so() {
         assert!(Instant::now() < end, "{what}: not in {PATIENCE:?}");
@@ -236,7 +236,16 @@ fn foxgloves_own_client_reads_what_the_daemon_does() {
             &["--config", "hw-sim/hw-sim-robot.toml", "--start", "3"],
         );
         let _daemon = stage.daemon();
-        wait("motion", || moving.load(Ordering::Relaxed) > 90);
+        let mut before = 0;
+        wait("motion", || {
+            let now = moving.load(Ordering::Relaxed);
+            // Where the machine stood still, it is disarmed.
+            if now == before {
+                vpcctl(&stage.place.domain(), &["arm"]);
+            }
+            before = now;
+            now > 90
+        });
         for topic in STILL {
             wait(topic, || has(&early, topic, 3));
         }
