@@ -7,7 +7,7 @@
 mod export;
 mod peer;
 #[allow(dead_code)] // the test asks for more
-#[path = "../tests/subproblem/mod.rs"]
+#[path = "../tests/law/subproblem.rs"]
 mod subproblem;
 
 use std::hint::black_box;

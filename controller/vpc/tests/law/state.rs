@@ -47,7 +47,7 @@ fn another_past_of_the_workspace_changes_nothing() {
     let (mut one, mut other) = (controller(), controller());
     let fresh = one.state();
     // Two runs at a time: each controller computes them in another order.
-    for pair in starts.as_chunks::<2>().0.iter().step_by(2) {
+    for pair in starts.as_chunks::<2>().0.iter().step_by(5) {
         let mut runs = pair.map(|start| Run::new(&scene, &start, fresh));
         for k in 0..CYCLES {
             let now_ns = (1e9 * k as f64 * scene.sampling_time()).round() as u64;

@@ -23,7 +23,6 @@ pub const INSTANTS: usize = 12;
 
 impl World {
     /// The paper's simulated scene.
-    #[allow(dead_code, reason = "not every test has that scene")]
     pub fn new(start: &Pose) -> Self {
         let scene = Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap();
         Self::of(scene, start)

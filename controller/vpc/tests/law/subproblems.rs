@@ -1,9 +1,7 @@
 //! The solver against SciPy's SLSQP on the problems of single cycles near occlusions, with the
 //! paper's model. `fixtures/subproblems.py` made them with its own mathematics.
 
-mod subproblem;
-
-use subproblem::{Case, Fixture, Subproblem};
+use crate::subproblem::{Case, Fixture, Subproblem};
 use vpc::Twist;
 use vpc::problem::{Solution, Status};
 

@@ -26,8 +26,7 @@ struct Seen {
     change: f64,
     /// Deepest point while the camera is braked, from any cycle of the run, px.
     deepest_px: f64,
-    arrived: bool,
-    /// Cycles until then.
+    /// Cycles until it arrived.
     cycles: Option<u32>,
 }
 
@@ -45,7 +44,7 @@ fn moved(points: &[Vector3<f64>], twist: &Twist, seconds: f64) -> Vec<Vector3<f6
     points.iter().map(|x| motion.apply(x)).collect()
 }
 
-/// Runs the law from a start; an arm that obeys exactly is braked from every cycle, in thought, as
+/// Runs the law from a start until it arrives; an arm that obeys exactly is braked from every cycle, in thought, as
 /// fast as `judge` allows.
 fn run(law: &Scene, judge: &Task, start: &Pose, strategy: Strategy) -> Seen {
     let settings = Settings {
@@ -86,8 +85,8 @@ fn run(law: &Scene, judge: &Task, start: &Pose, strategy: Strategy) -> Seen {
             }
         }
         if step.error_px < law.success.convergence_px {
-            seen.arrived = true;
-            seen.cycles.get_or_insert(k as u32);
+            seen.cycles = Some(k as u32);
+            break;
         }
     }
     seen
@@ -202,7 +201,7 @@ fn commands_keep_the_acceleration_and_stop_before_constraints() {
                 seen.deepest_px < DEEPEST_PX,
                 "{start:?} {strategy:?}: {seen:?}"
             );
-            arrived += u32::from(seen.arrived);
+            arrived += u32::from(seen.cycles.is_some());
         }
         let seen = run(&unlimited, &judge, start, Strategy::Previous);
         assert!(seen.change > 2.0, "{start:?}: {seen:?}");

@@ -186,7 +186,7 @@ fn what_a_memory_holds_of_a_start_is_found_from_there() {
 #[test]
 fn a_second_before_it_is_armed_shows_most_of_the_best_ways() {
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
-    let known: Value = serde_json::from_str(include_str!("../fixtures/oracle.json")).unwrap();
+    let known: Value = serde_json::from_str(include_str!("../../fixtures/oracle.json")).unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
     let pairs = starts.iter().zip(known["ways"].as_array().unwrap());
     let is_long = std::env::var_os("VPC_LONG").is_some();

@@ -1,7 +1,5 @@
 //! The law and images that do not show all points, against a truth of its own.
 
-mod world;
-
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
@@ -13,6 +11,8 @@ use crate::world::{INSTANTS, Own, World};
 const NOISE_PX: f64 = 0.3;
 /// Frames from an exposure to the command that answers it.
 const DELAY: usize = 2;
+/// In this cycle all points have been seen again for a while; a run that has arrived ends.
+const SEEN_AGAIN: usize = 105;
 
 /// What the law believed of an image that did not show all points.
 struct Belief {
@@ -29,7 +29,7 @@ struct Run {
     refusals: Vec<Refusal>,
 }
 
-/// Runs for six seconds; `visible` says which points frame `k` shows.
+/// Runs for six seconds at most; `visible` says which points frame `k` shows.
 fn run(
     (seed, start): (usize, &Pose),
     own: Own,
@@ -52,6 +52,9 @@ fn run(
         let pairs = || truth.iter().zip(&task.goal);
         let away = |(s, goal): (&[f64; 2], &[f64; 2])| (s[0] - goal[0]).hypot(s[1] - goal[1]);
         run.has_arrived |= pairs().map(away).fold(0.0, f64::max) < scene.success.convergence_px;
+        if run.has_arrived && k >= SEEN_AGAIN {
+            break;
+        }
         frames.push(truth);
         let mut twist = [0.0; 6];
         if let Some(at) = k.checked_sub(DELAY) {
@@ -124,7 +127,7 @@ fn blackout(index: usize, seen: u32) -> impl Fn(usize) -> u32 {
 fn half_a_second_without_points_is_bridged() {
     let mut refused = 0;
     for seen in [0, 0b0001, 0b0101] {
-        for (index, start) in starts().iter().enumerate() {
+        for (index, start) in starts().iter().enumerate().step_by(2) {
             let run = run((index, start), REST, settings(), blackout(index, seen));
             // Without any point, near the pattern, the images from 0.4 s on may be too uncertain.
             let is_late = |refusal: &Refusal| {
@@ -140,12 +143,12 @@ fn half_a_second_without_points_is_bridged() {
             assert!(run.deepest_px < 3.0, "{index}: {}", run.deepest_px);
         }
     }
-    assert!(refused <= 4, "{refused} of 90");
+    assert!(refused <= 2, "{refused} of 45");
 }
 
 /// Runs of each kind; with `VPC_LONG=1` 10,000 in all.
 fn runs() -> usize {
-    std::env::var_os("VPC_LONG").map_or(30, |_| 2_000)
+    std::env::var_os("VPC_LONG").map_or(21, |_| 2_000)
 }
 
 #[test]
