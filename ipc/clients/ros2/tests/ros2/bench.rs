@@ -65,6 +65,8 @@ const JAZZY: Environment = Environment {
 const LONGEST_ANSWER: Duration = Duration::from_secs(80);
 /// Tries of a run that a machine's standstill ends.
 const TRIES: usize = 3;
+/// For so long the camera may go on with one command: several of its ticks, s.
+const LATE_S: f64 = 0.05;
 
 /// The peer.
 pub struct Peer {
@@ -155,9 +157,11 @@ impl Peer {
             self.place(start);
             run = self.ask("run");
             run["tries"] = json!(tried);
+            // A machine that stands still: vpcd says so, and must be armed again; or this camera went
+            // on with an old command.
+            let was_late = run["held_s"].as_f64().unwrap() > LATE_S;
             match run["reason"].as_str() {
-                // A machine that stands still: vpcd says so, and must be armed again.
-                Some(words) if words.starts_with("disarmed") => {
+                Some(words) if was_late || words.starts_with("disarmed") => {
                     tell(format_args!("{start}: {run}"))
                 }
                 _ => break,

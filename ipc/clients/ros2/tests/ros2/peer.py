@@ -106,6 +106,8 @@ class Peer:
         if now - self.heard > TIMEOUT:
             self.twist = [0.0] * 6
         self.world.move(self.twist, now - self.last)
+        if self.run is not None:
+            self.run["held_s"] = max(self.run["held_s"], now - self.last)
         self.last = now
         wall = time.time_ns()
         if not self.fault("robot_silent"):
@@ -162,7 +164,8 @@ class Peer:
             run["deep"] = told
         if self.referee.arrived(pixels) or seconds > self.scene["success"]["time_s"] or run["deep"]:
             arrived = self.referee.arrived(pixels) and not run["deep"]
-            self.answer({"arrived": bool(arrived), "seconds": seconds, "reason": run["deep"], "error_px": run["error_px"]})
+            told = {key: run[key] for key in ("error_px", "held_s")}
+            self.answer({"arrived": bool(arrived), "seconds": seconds, "reason": run["deep"], **told})
             self.run = None
 
     def answer(self, value):
@@ -178,8 +181,8 @@ class Peer:
             self.wish, self.deepest = json.loads(rest), None
             self.answer({})
         elif word == "run":
-            # Answered when it has ended.
-            self.run = {"begin": time.monotonic(), "deep": None, "error_px": None}
+            # Answered when it has ended. `held_s`: for how long the camera went on, at most, while no command was looked for.
+            self.run = {"begin": time.monotonic(), "deep": None, "error_px": None, "held_s": 0.0}
         elif word == "fault":
             self.faults = json.loads(rest)
             self.answer({})
