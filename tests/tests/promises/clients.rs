@@ -88,7 +88,7 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
     let Some(python) = Environment::CLIENT.python("the camera in Python") else {
         return;
     };
-    let starts = repeats("starts of the camera in Python", 25, 100);
+    let starts = repeats("starts of the camera in Python", 12, 100);
     let allowed = starts.div_ceil(ALLOWED_IN);
     // The last knows no occlusions: what it comes to is the referees' verdict, which differ if one
     // of them is wrong.

@@ -90,7 +90,7 @@ fn from_wake_to_send_nothing_faults_blocks_or_allocates() {
         return not_run("faultless", "no right to real time (vpcd --preflight)");
     }
     // They steer, after those in which the peers are met.
-    let cycles = repeats("faultless, cycles of each strategy", 4_000, 18_000) as u64;
+    let cycles = repeats("faultless, cycles of each strategy", 2_000, 18_000) as u64;
     for strategy in ["previous", "knn", "gpr", "foresight", "ibvs"] {
         let report = whole(strategy, cycles);
         tell(format!(

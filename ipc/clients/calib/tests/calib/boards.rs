@@ -172,12 +172,13 @@ fn rms(off: &[f64]) -> f64 {
 
 #[test]
 fn corners_of_every_board_are_found_as_often_as_by_opencv_and_as_exactly() {
+    let pictures = testkit::repeats("pictures of each board", 4, 8);
     for (name, board) in boards() {
         let (target, mut chance) = (Target::from(&board), Chance::new(34));
         let mut detector = Detector::new(&board).unwrap();
         let place = testkit::Place::new();
         let (mut ours, mut truths, mut files) = (Vec::new(), Vec::new(), Vec::new());
-        for k in 0..8 {
+        for k in 0..pictures {
             // Wholly in the image, and upside down as often as not.
             let pose = loop {
                 let turn =

@@ -59,7 +59,7 @@ pub const PANDA: [f64; 2] = [1e-4, 0.02];
 #[test]
 fn the_mounting_is_found_and_its_uncertainty_is_true() {
     let (mut scores, mut worst) = (Vec::new(), [0.0f64; 2]);
-    for seed in 0..testkit::repeats("hand-eye", 6, 40) as u64 {
+    for seed in 0..testkit::repeats("hand-eye", 4, 40) as u64 {
         let result = found(&pairs(&mut Chance::new(seed), 12, 35.0, PANDA)).unwrap();
         let verdict = result.verdict();
         assert!(verdict.is_good(), "{seed}: {verdict}\n{result}");
@@ -198,7 +198,7 @@ fn measured(pairs: &[Pair], chance: &mut Chance, error: [f64; 2]) -> Vec<RobotPo
 fn a_camera_that_stands_is_found_and_its_uncertainty_is_true() {
     let [camera, board] = standing();
     let (mut scores, mut worst) = (Vec::new(), [0.0f64; 2]);
-    for seed in 0..testkit::repeats("eye to hand", 6, 40) as u64 {
+    for seed in 0..testkit::repeats("eye to hand", 4, 40) as u64 {
         let mut chance = Chance::new(seed);
         let mut pairs = pairs(&mut chance, 12, 35.0, [0.0; 2]);
         stand(&mut pairs, &mut chance);
