@@ -127,7 +127,7 @@ fn blackout(index: usize, seen: u32) -> impl Fn(usize) -> u32 {
 fn half_a_second_without_points_is_bridged() {
     let mut refused = 0;
     for seen in [0, 0b0001, 0b0101] {
-        for (index, start) in starts().iter().enumerate().step_by(2) {
+        for (index, start) in starts().iter().enumerate() {
             let run = run((index, start), REST, settings(), blackout(index, seen));
             // Without any point, near the pattern, the images from 0.4 s on may be too uncertain.
             let is_late = |refusal: &Refusal| {
@@ -143,7 +143,7 @@ fn half_a_second_without_points_is_bridged() {
             assert!(run.deepest_px < 3.0, "{index}: {}", run.deepest_px);
         }
     }
-    assert!(refused <= 2, "{refused} of 45");
+    assert!(refused <= 4, "{refused} of 90");
 }
 
 /// Runs of each kind; with `VPC_LONG=1` 10,000 in all.
