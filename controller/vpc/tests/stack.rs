@@ -8,7 +8,7 @@ use vpc::{Law, Measurement, MotionMemory, Settings, Strategy, Task, Twist};
 /// Stack of the thread, bytes.
 const STACK: usize = 256 << 10;
 /// Cycles of each controller.
-const CYCLES: u64 = 20;
+const CYCLES: u64 = 10;
 
 /// The paper's simulated scene.
 fn usual() -> Scene {

@@ -194,7 +194,7 @@ fn in_the_exact_model_a_run_costs_no_more_than_was_foreseen() {
     let _turn = turn();
     let starts = starts(
         &scene(),
-        repeats("promises of foresight, starts", 100, 3000),
+        repeats("promises of foresight, starts", 60, 3000),
     );
     let spec: Spec = "foresight:3".parse().unwrap();
     // The margin for what is not known of a pattern's motion changes from cycle to cycle.
@@ -220,7 +220,7 @@ fn in_the_exact_model_a_run_costs_no_more_than_was_foreseen() {
 #[test]
 fn no_run_freezes_within_any_margin() {
     let _turn = turn();
-    let starts = starts(&scene(), repeats("margins, starts", 15, 300));
+    let starts = starts(&scene(), repeats("margins, starts", 10, 300));
     let spec: Spec = "foresight:3".parse().unwrap();
     for margin_px in [0.0, 2.0, 5.0, 8.0, 12.0, 20.0] {
         for noise_px in [0.0, 0.3] {

@@ -502,7 +502,7 @@ mod tests {
     /// What a camera does to its pictures, and light to a print.
     #[test]
     fn so_it_is_in_what_a_real_camera_makes_of_it() {
-        let step = if testkit::is_long() { 0.7 } else { 4.2 };
+        let step = if testkit::is_long() { 0.7 } else { 6.3 };
         for (name, change) in CHANGES {
             slide(Family::default(), name, &change, step);
         }
@@ -516,7 +516,7 @@ mod tests {
 
     #[test]
     fn so_it_is_of_every_family() {
-        let step = if testkit::is_long() { 0.7 } else { 4.2 };
+        let step = if testkit::is_long() { 0.7 } else { 6.3 };
         for family in families() {
             slide(family, family.name(), &|drawing| drawing.blur(0.6), step);
         }
