@@ -192,10 +192,7 @@ fn all_bare(starts: &[Pose], has_memory: bool, settings: Settings, noise_px: f64
 #[test]
 fn in_the_exact_model_a_run_costs_no_more_than_was_foreseen() {
     let _turn = turn();
-    let starts = starts(
-        &scene(),
-        repeats("promises of foresight, starts", 60, 3000),
-    );
+    let starts = starts(&scene(), repeats("promises of foresight, starts", 60, 3000));
     let spec: Spec = "foresight:3".parse().unwrap();
     // The margin for what is not known of a pattern's motion changes from cycle to cycle.
     let settings = Settings {
