@@ -106,7 +106,8 @@ fn settings() -> Settings {
     }
 }
 
-/// The runs of every second start; of fewer where none is to arrive, which takes all of the time.
+/// The runs of every second start; of every fourth where none is to arrive, which takes all of the
+/// time.
 fn runs(scene: &Scene, settings: Settings, arrives: bool) -> Vec<Run> {
     let each = if arrives { 2 } else { 4 };
     let starts = starts().into_iter().enumerate().step_by(each);

@@ -164,8 +164,15 @@ class Peer:
             run["deep"] = told
         if self.referee.arrived(pixels) or seconds > self.scene["success"]["time_s"] or run["deep"]:
             arrived = self.referee.arrived(pixels) and not run["deep"]
-            told = {key: run[key] for key in ("error_px", "held_s")}
-            self.answer({"arrived": bool(arrived), "seconds": seconds, "reason": run["deep"], **told})
+            self.answer(
+                {
+                    "arrived": bool(arrived),
+                    "seconds": seconds,
+                    "reason": run["deep"],
+                    "error_px": run["error_px"],
+                    "held_s": run["held_s"],
+                }
+            )
             self.run = None
 
     def answer(self, value):
@@ -181,7 +188,7 @@ class Peer:
             self.wish, self.deepest = json.loads(rest), None
             self.answer({})
         elif word == "run":
-            # Answered when it has ended. `held_s`: for how long the camera went on, at most, while no command was looked for.
+            # Answered when it has ended. `held_s`: for how long it moved by one command, at most.
             self.run = {"begin": time.monotonic(), "deep": None, "error_px": None, "held_s": 0.0}
         elif word == "fault":
             self.faults = json.loads(rest)
