@@ -232,7 +232,7 @@ class Peer:
         self.graph.send(name)
         reply = None
         # To build a memory takes some time.
-        patience = 60.0 if name == "teach" else 5.0
+        patience = 240.0 if name == "teach" else 5.0
         while reply is None and time.monotonic() < begin + patience:
             self.tick()
             reply = self.graph.reply(name)
