@@ -148,7 +148,7 @@ fn flip(number: &mut f64) {
 }
 
 #[test]
-#[ignore = "half a minute: CI runs it in a line of its own"]
+#[ignore = "two minutes: CI runs it in a line of its own"]
 fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
     let _turn = turn();
     let (place_a, place_b) = (Place::new(), Place::new());
