@@ -253,6 +253,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         self.state.history.push(twist, at_ns);
         self.state.standing = *twist;
         self.stay_behind(twist);
+        // In simulated time there are no instants to predict the next image by.
+        if !self.state.history.is_live()
+            && let Some(root) = self.root.clone()
+        {
+            self.predict(&root, twist);
+        }
     }
 
     /// Where another twist was sent than the law's, the camera comes no further on its way than

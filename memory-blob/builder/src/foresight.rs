@@ -115,9 +115,6 @@ fn run(
             let stands = cycle < standing;
             let twist = if stands { [0.0; DOF] } else { step.twist };
             law.sent(&twist, now_ns);
-            if stands {
-                law.skip_mismatch();
-            }
             law.think(memory);
             cycle += 1;
             if stands {
