@@ -511,7 +511,7 @@ impl Thinker<'_> {
                 foresight.drafted += 1;
                 self.begin_draft(&course, best, foresight);
             }
-            let spare_px = if is_wide(foresight.drafted) {
+            let spare_px = if is_wide(foresight.drafted, best.guide.kind == Kind::Refined) {
                 WIDE_PX
             } else {
                 0.0
@@ -566,11 +566,14 @@ impl Thinker<'_> {
         };
         let detour = listed.copied().unwrap_or_else(drawn);
         let knows_a_way = matches!(best.outcome, Outcome::Arrives { .. });
-        if number % 8 == 5 && listed.is_none() && best.guide.kind == Kind::Refined {
+        let is_refined = best.guide.kind == Kind::Refined;
+        if number % 8 == 5 && listed.is_none() && is_refined {
             return self.begin_changed(course, number, best.guide.ahead);
         }
         let guide = match number % 4 {
             turn if turn == 1 || listed.is_some() => None,
+            // Not a second time the same.
+            2 if !is_refined => None,
             3 => {
                 foresight.drawn += 1;
                 self.drawn(foresight.drawn, best.outcome)
@@ -1062,9 +1065,10 @@ fn pattern(initial: &InitialState, task: &Task) -> Option<Motion> {
 }
 
 /// Whether the draft of this number keeps [`WIDE_PX`]. What the memory holds may be closer.
-fn is_wide(number: u64) -> bool {
+fn is_wide(number: u64, is_refined: bool) -> bool {
     let listed = DETOURS.len() as u64;
-    number <= listed || (number > listed + REMEMBERED as u64 && number % 4 == 1)
+    let is_drawn = number % 4 == 1 || (number % 4 == 2 && !is_refined);
+    number <= listed || (number > listed + REMEMBERED as u64 && is_drawn)
 }
 
 /// A number in [0, 1) that follows from two others.

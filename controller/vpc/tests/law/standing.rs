@@ -5,6 +5,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use memory_blob::MemoryFile;
 use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
 use scene::{Pose, Scene};
 use serde_json::Value;
 use vpc::foresight::Outcome;
@@ -14,6 +17,10 @@ use vpc::{DOF, Law, Measurement, MotionMemory, Settings, Strategy, Twist, camera
 
 /// From this fixed start on, the settings were chosen without knowledge of the best ways.
 const FIRST: usize = 55;
+
+/// For so long a live robot obeys a command, and no image of it repeats another one.
+const VALIDITY_NS: u64 = 200_000_000;
+const NOISE_PX: f64 = 0.01;
 
 /// What a run cost.
 struct Run {
@@ -54,6 +61,10 @@ impl MotionMemory for OneRun {
     }
 }
 
+fn is_live() -> bool {
+    std::env::var_os("VPC_LIVE").is_some()
+}
+
 /// The image of the points, px.
 fn seen(scene: &Scene, points: &[Vector3<f64>]) -> Vec<[f64; 2]> {
     let see = |x: &Vector3<f64>| camera::project(&scene.camera, (*x).into()).unwrap();
@@ -74,12 +85,22 @@ fn run(
     };
     let (np, periods) = (settings.np as f64, scene.success.time_s * 30.0);
     let mut law = Law::new(scene, settings, |len| vec![0.0; len]).unwrap();
+    let is_live = is_live();
+    if is_live {
+        law.go_live(VALIDITY_NS);
+    }
+    let noise = Normal::new(0.0, NOISE_PX).unwrap();
+    let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut points: Vec<Vector3<f64>> = task::placed(&scene.pattern, start).collect();
     let period = scene.sampling_time();
     let (mut cost, mut promised) = (0.0, f64::INFINITY);
     let mut commands = Vec::new();
     for k in 0..standing + periods as u64 {
-        let pixels = seen(scene, &points);
+        let mut pixels = seen(scene, &points);
+        if is_live {
+            let coordinates = pixels.as_flattened_mut().iter_mut();
+            coordinates.for_each(|x| *x += noise.sample(&mut random));
+        }
         let now_ns = (k as f64 * period * 1e9).round() as u64;
         let measured = Measurement::from_points(&pixels).taken(now_ns, now_ns);
         let step = law.step(&measured, memory).unwrap();
@@ -94,7 +115,10 @@ fn run(
         }
         if step.error_px < scene.success.convergence_px {
             let cost = cost / periods;
-            assert!(cost < 1.1 * promised, "{cost}, promised {promised}");
+            assert!(
+                is_live || cost < 1.1 * promised,
+                "{cost}, promised {promised}"
+            );
             return Run {
                 beyond: 100.0 * (cost / known - 1.0),
                 was_promised: promised.is_finite(),
@@ -180,7 +204,8 @@ fn what_a_memory_holds_of_a_start_is_found_from_there() {
     }
 }
 
-/// With `VPC_LONG` from all starts; with `VPC_MEMORY=FILE` by this memory.
+/// With `VPC_LONG` from all starts; with `VPC_MEMORY=FILE` by this memory; with `VPC_LIVE` in real
+/// time, as the daemon runs the law.
 #[test]
 fn a_second_before_it_is_armed_shows_most_of_the_best_ways() {
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
@@ -194,7 +219,7 @@ fn a_second_before_it_is_armed_shows_most_of_the_best_ways() {
     let memory = std::env::var_os("VPC_MEMORY");
     let memory = memory.map(|file| MemoryFile::open(file.as_ref(), None).unwrap());
     let pairs: Vec<_> = pairs.collect();
-    for (standing, nine_of_ten, most) in [(0, 30.0, 260.0), (30, 6.0, 15.0)] {
+    for (standing, nine_of_ten, most) in [(0, 30.0, 300.0), (30, 6.0, 15.0)] {
         let next = AtomicUsize::new(0);
         let work = || {
             let view = memory.as_ref().map(MemoryFile::view);
@@ -227,6 +252,6 @@ fn a_second_before_it_is_armed_shows_most_of_the_best_ways() {
         let promised = runs.iter().filter(|run| run.was_promised).count();
         let is_most = promised > runs.len() * 8 / 9;
         assert_eq!(is_most, standing > 0, "{promised} promised");
-        assert!(at(0.5) < 2.0 && at(0.9) < nine_of_ten && at(1.0) < most);
+        assert!(at(0.5) < 2.0 && at(0.9) < nine_of_ten && (is_live() || at(1.0) < most));
     }
 }
