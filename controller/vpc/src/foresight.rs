@@ -547,10 +547,10 @@ impl Thinker<'_> {
     }
 
     /// A first guess: at first those of [`DETOURS`], then what is left of the memory's nearest
-    /// trajectories; afterwards in turn the incumbent, one by any detour, the incumbent again, and
-    /// what the law does under a drawn candidate. Where the incumbent is a refined way itself, it
-    /// is loosened every second time, so that it may leave the side of an occlusion that it is on,
-    /// and every second detour gives way to a change of some of its commands.
+    /// trajectories; afterwards in turn the incumbent, one by any detour, and what the law does under
+    /// a drawn candidate. Where the incumbent is a refined way itself, it has a second turn, in
+    /// which it is loosened, so that it may leave the side of an occlusion that it is on, and every
+    /// second detour gives way to a change of some of its commands.
     fn begin_draft(&mut self, course: &Course<'_>, best: &Future, foresight: &mut Foresight) {
         let number = foresight.drafted;
         let first = number.wrapping_sub(1) as usize;
