@@ -472,6 +472,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// known, for it executed them, and so does what was seen: its camera began again, and sees the
     /// same object.
     pub fn reset(&mut self) {
+        self.root = None;
         let before = self.state;
         let new = State::new(self.settings.strategy);
         self.state = match before.history.is_live() {
