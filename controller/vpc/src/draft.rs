@@ -17,11 +17,11 @@ const PASSES: u32 = 20;
 const EVERY: u32 = 2;
 /// The first barrier where the first guess may lead through borders, and where it does not; what
 /// it is multiplied by, and the last one.
-const SOFT: Barrier = Barrier {
+pub(crate) const SOFT: Barrier = Barrier {
     weight: 20.0,
     depth: 20.0,
 };
-const CLOSE: Barrier = Barrier {
+pub(crate) const CLOSE: Barrier = Barrier {
     weight: 1.0,
     depth: 0.5,
 };
@@ -79,6 +79,8 @@ pub struct Draft {
     merit: f64,
     /// Share of its curvature that is added to that of a command.
     damping: f64,
+    /// Clearance that it keeps beside the settings' margin, px.
+    pub spare_px: f64,
 }
 
 impl Draft {
@@ -91,13 +93,14 @@ impl Draft {
         barrier: SOFT,
         merit: f64::INFINITY,
         damping: 0.0,
+        spare_px: 0.0,
     };
 
     /// Begins the next one with the pattern at `start`; the commands, to make a first guess in.
-    pub(crate) fn begin(&mut self, start: &Motion, is_clear: bool) -> &mut [Twist] {
+    pub(crate) fn begin(&mut self, start: &Motion, barrier: Barrier) -> &mut [Twist] {
         self.way.renew();
         (self.passes, self.start, self.since) = (0, start.into(), 0.0);
-        self.barrier = if is_clear { CLOSE } else { SOFT };
+        (self.barrier, self.spare_px) = (barrier, 0.0);
         (self.merit, self.damping) = (f64::INFINITY, 0.0);
         self.way.commands_mut()
     }

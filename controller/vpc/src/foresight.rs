@@ -29,15 +29,17 @@ use nalgebra::Vector6;
 use serde::{Deserialize, Serialize};
 
 use crate::command::{Policy, Present};
-use crate::course::{Barrier, Course, Detour};
+use crate::course::{Barrier, Course};
 use crate::crossing::{self, Crossing};
-use crate::draft::{Draft, Progress};
+use crate::draft::{self, Draft, Progress};
 use crate::features::{self, MAX_INPUTS, PlainPoints};
+use crate::guess::Guess;
 use crate::guide::{At, Guide, Kind};
 use crate::joint_path::JointPath;
 use crate::motion::{Motion, Own};
 use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
+use crate::random::uniform_of;
 use crate::recall::{self, MotionMemory, Recall};
 use crate::refine::{self, Refiner};
 use crate::solver::Solver;
@@ -45,7 +47,7 @@ use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::way::{COMMANDS, Way};
 use crate::work::{search, search_trajectory};
-use crate::{DOF, MAX_POINTS, Points, Twist, gate, random};
+use crate::{DOF, MAX_POINTS, Points, Twist, gate};
 
 /// A candidate that arrives replaces another one that arrives if it costs less than this share of
 /// the other's cost.
@@ -57,48 +59,6 @@ const CHEAPER: f64 = 0.995;
 const FIRST: f64 = 0.9;
 const REFINING: f64 = 0.85;
 const SEEKING: f64 = 0.6;
-/// Listed first guesses pass so far to the side, m, or so far along both axes, and turn by so much
-/// about an axis of the image, or about the line of sight, rad. Drawn ones stay within.
-const SIDE: f64 = 0.25;
-const DIAGONAL: f64 = SIDE * core::f64::consts::FRAC_1_SQRT_2;
-const TILT: f64 = 0.5;
-const ROLL: f64 = 0.6;
-/// The first guesses of a run. Of 126, each after the first was chosen as the one that lowers the
-/// least cost most, where more than 1.5 times the best counts as 1.5 times; over 360 starts of
-/// paper-sim, cup-disc-bars and u-spot-bar (seed 5).
-pub(crate) const DETOURS: [Detour; 16] = [
-    detour([0.0, 0.0, 0.3], [0.0, 0.0, 0.0]),
-    detour([-SIDE, 0.0, 0.2], [0.0, -TILT, 0.0]),
-    detour([-DIAGONAL, DIAGONAL, 0.2], [0.0, 0.0, -ROLL]),
-    detour([SIDE, 0.0, 0.2], [TILT, 0.0, 0.0]),
-    detour([-DIAGONAL, DIAGONAL, 0.0], [-TILT, 0.0, 0.0]),
-    detour([0.0, 0.0, 0.3], [0.0, 0.0, ROLL]),
-    detour([DIAGONAL, DIAGONAL, 0.0], [0.0, 0.0, -ROLL]),
-    detour([0.0, SIDE, 0.2], [TILT, 0.0, 0.0]),
-    detour([SIDE, 0.0, 0.0], [0.0, 0.0, ROLL]),
-    detour([-DIAGONAL, -DIAGONAL, 0.2], [0.0, TILT, 0.0]),
-    detour([-DIAGONAL, DIAGONAL, 0.2], [TILT, 0.0, 0.0]),
-    detour([0.0, -SIDE, 0.2], [0.0, 0.0, ROLL]),
-    detour([0.0, -SIDE, 0.2], [0.0, 0.0, -ROLL]),
-    detour([0.0, SIDE, 0.2], [0.0, 0.0, -ROLL]),
-    detour([SIDE, 0.0, 0.2], [0.0, 0.0, 0.0]),
-    detour([DIAGONAL, -DIAGONAL, 0.2], [-TILT, 0.0, 0.0]),
-];
-
-const fn detour(aside: [f64; 3], turn: [f64; 3]) -> Detour {
-    Detour { aside, turn }
-}
-
-/// Clearance of a draft by a detour, or by a change of the incumbent, px, where the law's own is
-/// less: more of these find a way, and refining brings the best of them closer. Chosen on 98 starts
-/// of paper-sim, after a second of standing, among 0, 8, 10 and 13 px.
-const WIDE_PX: f64 = 10.0;
-/// The commands of the incumbent that a draft changes: the first, below this, and how many.
-const CHANGED_FROM: f64 = 20.0;
-const FEWEST_CHANGED: usize = 3;
-const MORE_CHANGED: f64 = 12.0;
-/// The nearest trajectories of the memory, so many, are first guesses after these.
-const REMEMBERED: usize = 8;
 const _: () = assert!(
     COMMANDS <= recall::LONGEST,
     "a trajectory's rest fills a draft"
@@ -508,15 +468,9 @@ impl Thinker<'_> {
             }
             // No draft is begun that no pass follows.
             if self.draft.passes == 0 && self.fits(&course) {
-                foresight.drafted += 1;
                 self.begin_draft(&course, best, foresight);
             }
-            let spare_px = if is_wide(foresight.drafted, best.guide.kind == Kind::Refined) {
-                WIDE_PX
-            } else {
-                0.0
-            };
-            course.margin_px = least_px.max(self.policy.settings.margin_px + spare_px);
+            course.margin_px = least_px.max(self.policy.settings.margin_px + self.draft.spare_px);
             // What the law does under a guide has been simulated meanwhile.
             let fits = self.fits(&course);
             let Some(refiner) = self.refiner.as_mut().filter(|_| fits) else {
@@ -546,84 +500,72 @@ impl Thinker<'_> {
         self.done() + pass <= self.most_work
     }
 
-    /// A first guess: at first those of [`DETOURS`], then what is left of the memory's nearest
-    /// trajectories; afterwards in turn the incumbent, one by any detour, and what the law does under
-    /// a drawn candidate. Where the incumbent is a refined way itself, it has a second turn, in
-    /// which it is loosened, so that it may leave the side of an occlusion that it is on, and every
-    /// second detour gives way to a change of some of its commands.
+    /// Begins the next draft with a [first guess](Guess).
     fn begin_draft(&mut self, course: &Course<'_>, best: &Future, foresight: &mut Foresight) {
-        let number = foresight.drafted;
-        let first = number.wrapping_sub(1) as usize;
-        let listed = DETOURS.get(first);
-        let rank = (first + 1).saturating_sub(DETOURS.len());
-        if (1..=REMEMBERED).contains(&rank) && self.begin_remembered(course, rank).is_some() {
-            return;
-        }
-        let within = |most: f64, k| most * (2.0 * uniform(number, k) - 1.0);
-        let drawn = || Detour {
-            aside: [1, 2, 3].map(|k| within(SIDE, k)),
-            turn: [(TILT, 4), (TILT, 5), (ROLL, 6)].map(|(most, k)| within(most, k)),
-        };
-        let detour = listed.copied().unwrap_or_else(drawn);
-        let knows_a_way = matches!(best.outcome, Outcome::Arrives { .. });
+        foresight.drafted += 1;
         let is_refined = best.guide.kind == Kind::Refined;
-        if number % 8 == 5 && listed.is_none() && is_refined {
-            return self.begin_changed(course, number, best.guide.ahead);
-        }
-        let guide = match number % 4 {
-            turn if turn == 1 || listed.is_some() => None,
-            // Not a second time the same.
-            2 if !is_refined => None,
-            3 => {
-                foresight.drawn += 1;
-                self.drawn(foresight.drawn, best.outcome)
+        for guess in Guess::of(foresight.drafted, is_refined) {
+            if self.begin_with(&guess, course, best, foresight).is_some() {
+                self.draft.spare_px = guess.spare_px();
+                return;
             }
-            _ => Some(best.guide).filter(|_| knows_a_way),
-        };
-        match guide {
-            Some(guide) if guide.kind == Kind::Refined => {
-                let commands = self.draft.begin(&course.start, number % 4 == 2);
-                let left = self.way.left(guide.ahead);
-                let pairs = commands.iter_mut().zip(left);
-                pairs.for_each(|(to, from)| *to = *from);
-            }
-            Some(guide) => {
-                let most = match best.outcome {
-                    Outcome::Arrives { cost, .. } => PROMISING * cost,
-                    _ => f64::INFINITY,
-                };
-                self.recorded = 0;
-                self.roll_out(self.begun(guide), most);
-                let commands = self.draft.begin(&course.start, true);
-                let recorded = self.refiner.iter().flat_map(|refiner| &*refiner.tried);
-                let pairs = commands.iter_mut().zip(recorded.take(self.recorded));
-                pairs.for_each(|(to, from)| *to = *from);
-            }
-            None => course.guess(&detour, self.draft.begin(&course.start, false)),
         }
     }
 
-    /// Begins a draft with what is left of the incumbent, a refined way. A drawn twist is added to
-    /// some of its commands, and taken from as many after them.
-    fn begin_changed(&mut self, course: &Course<'_>, number: u64, ahead: u32) {
-        let [least, most] = course.bounds.map(Vector6::from);
-        let drawn = |k| uniform(number, k);
-        let change = Vector6::from(self.policy.task.limits)
-            .zip_map(&Vector6::from([1, 2, 3, 4, 5, 6].map(drawn)), |most, x| {
-                most * (2.0 * x - 1.0)
-            });
-        let from = (CHANGED_FROM * drawn(0)) as usize;
-        let count = FEWEST_CHANGED + (MORE_CHANGED * drawn(7)) as usize;
-        let commands = self.draft.begin(&course.start, true);
-        for (k, (to, old)) in commands.iter_mut().zip(self.way.left(ahead)).enumerate() {
-            let command = Vector6::from(*old);
-            let command = match k.checked_sub(from).map(|k| k / count) {
-                Some(0) => command + change,
-                Some(1) => command - change,
-                _ => command,
-            };
-            *to = refine::clamped(&command, &least, &most).into();
+    /// Begins a draft with this guess; `None` if there is no such thing.
+    fn begin_with(
+        &mut self,
+        guess: &Guess,
+        course: &Course<'_>,
+        best: &Future,
+        foresight: &mut Foresight,
+    ) -> Option<()> {
+        match guess {
+            Guess::Detour(detour) | Guess::Close(detour) => {
+                course.guess(detour, self.draft.begin(&course.start, draft::SOFT));
+            }
+            Guess::Remembered(rank) => self.begin_remembered(course, *rank)?,
+            Guess::Kept => self.begin_rest(course, best, draft::CLOSE),
+            Guess::Loosened => self.begin_rest(course, best, draft::SOFT),
+            Guess::Changed(change) => {
+                self.begin_rest(course, best, draft::CLOSE);
+                change.apply(course, self.draft.way.commands_mut());
+            }
+            Guess::Simulated => {
+                let Outcome::Arrives { .. } = best.outcome else {
+                    return None;
+                };
+                self.begin_simulated(course, best.guide, best);
+            }
+            Guess::Candidate => {
+                foresight.drawn += 1;
+                let guide = self.drawn(foresight.drawn, best.outcome)?;
+                self.begin_simulated(course, guide, best);
+            }
         }
+        Some(())
+    }
+
+    /// Begins a draft with what is left of the incumbent, a refined way.
+    fn begin_rest(&mut self, course: &Course<'_>, best: &Future, barrier: Barrier) {
+        let commands = self.draft.begin(&course.start, barrier);
+        let left = self.way.left(best.guide.ahead);
+        let pairs = commands.iter_mut().zip(left);
+        pairs.for_each(|(to, from)| *to = *from);
+    }
+
+    /// Begins a draft with what the law does under a guide.
+    fn begin_simulated(&mut self, course: &Course<'_>, guide: Guide, best: &Future) {
+        let most = match best.outcome {
+            Outcome::Arrives { cost, .. } => PROMISING * cost,
+            _ => f64::INFINITY,
+        };
+        self.recorded = 0;
+        self.roll_out(self.begun(guide), most);
+        let commands = self.draft.begin(&course.start, draft::CLOSE);
+        let recorded = self.refiner.iter().flat_map(|refiner| &*refiner.tried);
+        let pairs = commands.iter_mut().zip(recorded.take(self.recorded));
+        pairs.for_each(|(to, from)| *to = *from);
     }
 
     /// Begins a draft with the rest of the memory's `rank`-th nearest trajectory; `None` if there is
@@ -642,9 +584,12 @@ impl Thinker<'_> {
         let points: Points = points.iter().copied().collect();
         let start = pattern(&InitialState::new(task, settings.model, &points), task)?;
         // The nearest is bent least, and keeps its side of the occlusions.
-        let is_clear = rank == 1;
+        let barrier = match rank {
+            1 => draft::CLOSE,
+            _ => draft::SOFT,
+        };
         self.draft
-            .begin(&start, is_clear)
+            .begin(&start, barrier)
             .copy_from_slice(&remembered);
         self.draft.pass_by(0.0, course);
         let [least, most] = course.bounds.map(Vector6::from);
@@ -843,7 +788,7 @@ impl Thinker<'_> {
         let mut found = [0.0; MAX_INPUTS];
         let found = found.get_mut(..input.len())?;
         let memory = self.memory?;
-        let uniform = uniform(number, 0);
+        let uniform = uniform_of(number, 0);
         let cost_to_go = match number % 2 {
             0 => {
                 self.searched += search(memory.count(), input.len());
@@ -860,7 +805,7 @@ impl Thinker<'_> {
     fn aside(&self, then: Guide, number: u64) -> Guide {
         let task = self.policy.task;
         let points = &self.initial.points;
-        let [u, v, turn, size] = [1, 2, 3, 4].map(|k| uniform(number, k));
+        let [u, v, turn, size] = [1, 2, 3, 4].map(|k| uniform_of(number, k));
         let count = points.len() as f64;
         let centre = [0, 1].map(|c| points.iter().filter_map(|p| p.get(c)).sum::<f64>() / count);
         let shift = [u, v].map(|x| SHIFT * task.camera.width * (2.0 * x - 1.0));
@@ -1064,18 +1009,6 @@ fn pattern(initial: &InitialState, task: &Task) -> Option<Motion> {
     })
 }
 
-/// Whether the draft of this number keeps [`WIDE_PX`]. What the memory holds may be closer.
-fn is_wide(number: u64, is_refined: bool) -> bool {
-    let listed = DETOURS.len() as u64;
-    let is_drawn = number % 4 == 1 || (number % 4 == 2 && !is_refined);
-    number <= listed || (number > listed + REMEMBERED as u64 && is_drawn)
-}
-
-/// A number in [0, 1) that follows from two others.
-fn uniform(number: u64, index: u64) -> f64 {
-    random::uniform(8 * number + index)
-}
-
 #[cfg(test)]
 mod tests {
     use scene::Scene;
@@ -1120,7 +1053,7 @@ mod tests {
         let mut arrived = 0;
         for k in 0..300_u64 {
             // Now and then somewhere else, so that what was promised is wrong.
-            let [x, y, z] = [0, 1, 2].map(|axis| uniform(k / 4, axis) - 0.5);
+            let [x, y, z] = [0, 1, 2].map(|axis| uniform_of(k / 4, axis) - 0.5);
             let mut pose = scene.goal;
             pose.translation = [0.5 * x, 0.5 * y, 0.9 + 0.5 * z];
             let points = law.task().features_at(&pose).unwrap();

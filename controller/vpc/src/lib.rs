@@ -72,6 +72,7 @@ mod follow;
 pub mod foresight;
 mod frozen;
 pub mod gate;
+mod guess;
 pub mod guide;
 mod ibvs;
 mod interaction;

@@ -260,8 +260,8 @@ mod tests {
     use super::*;
     use crate::Task;
     use crate::course::Barrier;
-    use crate::draft::{Draft, Progress};
-    use crate::foresight::DETOURS;
+    use crate::draft::{self, Draft, Progress};
+    use crate::guess::DETOURS;
     use crate::motion::rotation;
 
     fn course<'a>(task: &'a Task, pose: &Pose) -> Course<'a> {
@@ -304,7 +304,7 @@ mod tests {
             let course = course(&task, start);
             let mut refined = |detour| {
                 let mut draft = Draft::NONE;
-                course.guess(&detour, draft.begin(&course.start, false));
+                course.guess(&detour, draft.begin(&course.start, draft::SOFT));
                 let progress = loop {
                     match draft.refine(&mut refiner, &course, f64::INFINITY) {
                         Progress::Going => (),

@@ -184,11 +184,12 @@ fn by_half_of_a_command_the_camera_comes_half_a_step_further() {
     }
 }
 
-/// From these two the best way is found late; a memory of a run that had time has it.
+/// From these two, together, the best way is found late; a memory of a run that had time has it.
 #[test]
 fn what_a_memory_holds_of_a_start_is_found_from_there() {
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    let (mut shorts, mut longs) = (0.0, 0.0);
     for start in [93, 98].map(|k| &starts[k]) {
         let run = |memory, standing| run(&scene, memory, start, 1.0, standing);
         let (short, long) = (run(None, 40), run(None, 300));
@@ -200,8 +201,10 @@ fn what_a_memory_holds_of_a_start_is_found_from_there() {
         let with = run(Some(&memory), 40);
         let [short, long, with] = [&short, &long, &with].map(|run| 1.0 + run.beyond / 100.0);
         println!("without {short:.2}, with a memory {with:.2}, after ten seconds {long:.2}");
-        assert!(short > 1.1 * long && with < 1.02 * long);
+        assert!(with < 1.02 * long);
+        (shorts, longs) = (shorts + short, longs + long);
     }
+    assert!(shorts > 1.1 * longs, "nothing was found late");
 }
 
 /// With `VPC_LONG` from all starts; with `VPC_MEMORY=FILE` by this memory; with `VPC_LIVE` in real
