@@ -110,7 +110,8 @@ fn from_wake_to_send_nothing_faults_blocks_or_allocates() {
             "{found}"
         );
         let has_memory = ["knn", "gpr", "foresight"].contains(&strategy);
-        assert_eq!(report.recalled > cycles / 200, has_memory, "{found}");
+        // Foresight follows a sample in few cycles: it refines its way.
+        assert_eq!(report.recalled > 0, has_memory, "{found}");
         let faults = (report.minor_faults, report.major_faults);
         assert_eq!(
             (faults, report.blocked, report.allocations),
