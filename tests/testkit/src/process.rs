@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
 
 use crate::{PATIENCE, eventually, within};
 
@@ -86,6 +86,15 @@ impl Running {
     pub fn signal(&self, signal: Signal) {
         let sent = kill_process(Pid::from_child(&self.child), signal);
         sent.unwrap_or_else(|error| panic!("process {}: {error}", self.id()));
+    }
+
+    /// Sends it SIGKILL or SIGSTOP, and waits until it has ended or stands: on another processor it
+    /// goes on for a moment.
+    pub fn halt(&self, signal: Signal) {
+        self.signal(signal);
+        let options = WaitIdOptions::EXITED | WaitIdOptions::STOPPED | WaitIdOptions::NOWAIT;
+        let halted = waitid(WaitId::Pid(Pid::from_child(&self.child)), options);
+        halted.unwrap_or_else(|error| panic!("process {}: {error}", self.id()));
     }
 
     /// Returns whether it has not ended.

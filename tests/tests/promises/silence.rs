@@ -327,7 +327,7 @@ fn end(round: usize, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
     some_time(6, random);
     // Who never took a message of a camera may find none when it is gone.
     let before_ns = witness.newest_features_ns();
-    camera.signal(if round.is_multiple_of(2) {
+    camera.halt(if round.is_multiple_of(2) {
         Signal::KILL
     } else {
         Signal::STOP
