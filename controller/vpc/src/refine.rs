@@ -283,7 +283,8 @@ mod tests {
     /// The starts of paper-sim, each with the cost of the best way that IPOPT knows
     /// (`fixtures/oracle.py`), summed up over the periods.
     fn known_ways(task: &Task, time_s: f64) -> Vec<(Pose, f64)> {
-        let known: Value = serde_json::from_str(include_str!("../fixtures/oracle.json")).unwrap();
+        let known: Value =
+            serde_json::from_str(include_str!("../fixtures/oracle-paper-sim.json")).unwrap();
         let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
         let pairs = starts.into_iter().zip(known["ways"].as_array().unwrap());
         let periods = time_s / task.ts;

@@ -92,7 +92,7 @@ fn run(scene: &Scene, seed: u64, start: &Pose, settings: Settings) -> Run {
         law.sent(&twist, ns(k));
         law.think(None);
         for _ in 0..INSTANTS {
-            world.go(&twist, |_| [0.0; 6], period / INSTANTS as f64);
+            world.obey(&twist, period / INSTANTS as f64);
         }
     }
     run

@@ -1,16 +1,13 @@
 //! The law with a camera that delivers late, against the truth: the twist for delayed features is
 //! the one for the true features of now, and nothing changes where there is no delay.
 
-use nalgebra::Vector3;
-use scene::{Pose, Scene};
-use vpc::motion::{Motion, rotation};
-use vpc::{DOF, Law, Measurement, Model, Refusal, Settings, Twist, camera};
+use vpc::{DOF, Law, Measurement, Model, Refusal, Settings, Twist};
+
+use crate::world::World;
 
 /// A camera that obeys exactly, in simulated time.
-struct World {
-    scene: Scene,
-    points: Vec<Vector3<f64>>,
-    ts: f64,
+struct Camera {
+    world: World,
     cycle: u64,
     /// The first point is shown beside where it is by this much, px.
     bias: f64,
@@ -18,19 +15,11 @@ struct World {
     filter_s: f64,
 }
 
-impl World {
+impl Camera {
     fn new() -> Self {
-        let scene = Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap();
         let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
-        let Pose {
-            translation,
-            rotation: turned,
-        } = starts[0];
-        let at = |p: &[f64; 3]| rotation(turned) * Vector3::from(*p) + Vector3::from(translation);
         Self {
-            points: scene.pattern.iter().map(at).collect(),
-            ts: scene.sampling_time(),
-            scene,
+            world: World::new(&starts[0]),
             cycle: 0,
             bias: 0.0,
             filter_s: Settings::default().filter_s,
@@ -45,29 +34,25 @@ impl World {
             drift_compensation: self.bias == 0.0,
             ..Settings::default()
         };
-        Law::new(&self.scene, settings, |len| vec![0.0; len]).unwrap()
+        Law::new(&self.world.scene, settings, |len| vec![0.0; len]).unwrap()
     }
 
     fn features(&self) -> Vec<[f64; 2]> {
-        let see = |x: &Vector3<f64>| camera::project(&self.scene.camera, (*x).into()).unwrap();
-        let mut features: Vec<_> = self.points.iter().map(see).collect();
+        let mut features = self.world.features();
         features[0] = features[0].map(|x| x + self.bias);
         features
     }
 
     fn time_ns(&self, cycle: u64) -> u64 {
-        (cycle as f64 * self.ts * 1e9).round() as u64
+        (cycle as f64 * self.world.scene.sampling_time() * 1e9).round() as u64
     }
 
     fn now_ns(&self) -> u64 {
         self.time_ns(self.cycle)
     }
 
-    fn go(&mut self, twist: &Twist) {
-        let motion = Motion::of_camera(twist, self.ts);
-        for x in &mut self.points {
-            *x = motion.apply(x);
-        }
+    fn obey(&mut self, twist: &Twist) {
+        self.world.obey(twist, self.world.scene.sampling_time());
         self.cycle += 1;
     }
 }
@@ -75,26 +60,26 @@ impl World {
 /// Runs for `cycles` with a delay of `frames`, the delayed law steering; beside it a law that sees
 /// the present. Twists of both for each cycle in which a frame was delivered.
 fn side_by_side(
-    mut world: World,
+    mut camera: Camera,
     frames: usize,
     cycles: usize,
     compensated: bool,
 ) -> Vec<(Twist, Twist)> {
-    let (mut late, mut present) = (world.controller(compensated), world.controller(true));
+    let (mut late, mut present) = (camera.controller(compensated), camera.controller(true));
     let (mut frames_under_way, mut twists) = (Vec::new(), Vec::new());
     for k in 0..cycles {
-        let now_ns = world.now_ns();
-        frames_under_way.push((world.features(), now_ns));
+        let now_ns = camera.now_ns();
+        frames_under_way.push((camera.features(), now_ns));
         let mut twist = [0.0; DOF];
         if let Some((seen, exposed_ns)) = k.checked_sub(frames).map(|k| &frames_under_way[k]) {
             let seen = Measurement::from_points(seen).taken(*exposed_ns, now_ns);
             twist = late.step(&seen, None).unwrap().twist;
-            let truth = Measurement::from_points(&world.features()).taken(now_ns, now_ns);
+            let truth = Measurement::from_points(&camera.features()).taken(now_ns, now_ns);
             twists.push((twist, present.step(&truth, None).unwrap().twist));
         }
         late.sent(&twist, now_ns);
         present.sent(&twist, now_ns);
-        world.go(&twist);
+        camera.obey(&twist);
     }
     twists
 }
@@ -109,12 +94,12 @@ fn difference((a, b): &(Twist, Twist)) -> f64 {
 #[test]
 fn late_features_are_answered_as_the_true_ones_of_now_would_be() {
     for frames in [1, 2, 4] {
-        let twists = side_by_side(World::new(), frames, 60, true);
+        let twists = side_by_side(Camera::new(), frames, 60, true);
         assert!(twists.len() >= 50 && twists.iter().any(|(a, _)| a[0].abs() > 0.1));
         let worst = twists.iter().map(difference).fold(0.0, f64::max);
         assert!(worst < 1e-5, "{frames} frames: {worst}");
         // Not for want of motion: taken for present ones, they are answered otherwise.
-        let naive = side_by_side(World::new(), frames, 10 + frames, false);
+        let naive = side_by_side(Camera::new(), frames, 10 + frames, false);
         let worst = naive.iter().map(difference).fold(0.0, f64::max);
         assert!(worst > 1e-2, "{frames} frames, not compensated: {worst}");
     }
@@ -122,18 +107,18 @@ fn late_features_are_answered_as_the_true_ones_of_now_would_be() {
 
 #[test]
 fn without_delay_nothing_changes_by_a_bit() {
-    let mut world = World::new();
-    world.bias = 0.7;
-    let (mut on, mut off) = (world.controller(true), world.controller(false));
+    let mut camera = Camera::new();
+    camera.bias = 0.7;
+    let (mut on, mut off) = (camera.controller(true), camera.controller(false));
     for _ in 0..60 {
-        let now_ns = world.now_ns();
-        let plain = Measurement::from_points(&world.features());
+        let now_ns = camera.now_ns();
+        let plain = Measurement::from_points(&camera.features());
         let stamped = plain.clone().taken(now_ns, now_ns);
         let step = on.step(&stamped, None).unwrap();
         assert_eq!(step, off.step(&plain, None).unwrap());
         on.sent(&step.twist, now_ns);
         off.sent(&step.twist, now_ns);
-        world.go(&step.twist);
+        camera.obey(&step.twist);
     }
 }
 
@@ -142,24 +127,24 @@ fn the_mismatch_of_late_features_is_that_of_their_exposure() {
     // One point is always shown beside where it is, so that no pose explains the features and eps
     // is never zero. A law that sees late and compares like with like answers as one that sees at
     // once; the rest is how the error of the fit changes along the way of four frames.
-    let world = World {
+    let camera = Camera {
         bias: 3.0,
         filter_s: 0.0,
-        ..World::new()
+        ..Camera::new()
     };
-    let twists = side_by_side(world, 4, 60, true);
+    let twists = side_by_side(camera, 4, 60, true);
     let worst = twists.iter().map(difference).fold(0.0, f64::max);
     assert!(worst < 0.05, "{worst}");
 }
 
 #[test]
 fn features_older_than_the_known_commands_are_refused() {
-    let world = World::new();
-    let mut law = world.controller(true);
+    let camera = Camera::new();
+    let mut law = camera.controller(true);
     law.go_live(100_000_000);
     let seen = |k: u64, frames: u64| {
-        let (now_ns, then_ns) = (world.time_ns(k), world.time_ns(k - frames));
-        Measurement::from_points(&world.features()).taken(then_ns, now_ns)
+        let (now_ns, then_ns) = (camera.time_ns(k), camera.time_ns(k - frames));
+        Measurement::from_points(&camera.features()).taken(then_ns, now_ns)
     };
     let mut refused = 0;
     for k in 10..20 {
@@ -171,12 +156,12 @@ fn features_older_than_the_known_commands_are_refused() {
             }
             Err(other) => panic!("{other}"),
         }
-        law.sent(&[0.0; DOF], world.time_ns(k));
+        law.sent(&[0.0; DOF], camera.time_ns(k));
     }
     assert_eq!(refused, 4);
     // A delay beyond what is remembered is never known.
     let (last, most) = (100, 34);
-    (20..last).for_each(|k| law.sent(&[0.0; DOF], world.time_ns(k)));
+    (20..last).for_each(|k| law.sent(&[0.0; DOF], camera.time_ns(k)));
     assert!(law.step(&seen(last, most), None).is_ok());
     let refusal = law.step(&seen(last, most + 1), None).unwrap_err();
     assert!(matches!(refusal, Refusal::Late { .. }), "{refusal}");
@@ -195,15 +180,15 @@ fn every_model_and_the_classic_law_step_on_late_features() {
         (Model::TargetDepth, vpc::Strategy::Previous),
         (Model::Pose, vpc::Strategy::Ibvs),
     ] {
-        let world = World::new();
+        let camera = Camera::new();
         let settings = Settings {
             model,
             strategy,
             ..Settings::default()
         };
-        let mut law = Law::new(&world.scene, settings, |len| vec![0.0; len]).unwrap();
+        let mut law = Law::new(&camera.world.scene, settings, |len| vec![0.0; len]).unwrap();
         law.sent(&[0.3, -0.2, 0.1, 0.2, -0.3, 0.4], 0);
-        let seen = Measurement::from_points(&world.features());
+        let seen = Measurement::from_points(&camera.features());
         let late = law.step(&seen.clone().taken(0, 100_000_000), None).unwrap();
         law.reset();
         let present = law.step(&seen, None).unwrap();

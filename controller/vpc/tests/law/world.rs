@@ -67,4 +67,9 @@ impl World {
         }
         self.seconds += seconds;
     }
+
+    /// The same where the pattern rests.
+    pub fn obey(&mut self, twist: &Twist, seconds: f64) {
+        self.go(twist, |_| [0.0; 6], seconds);
+    }
 }
