@@ -12,7 +12,7 @@ use hw_sim::robot::calibration::HandEye;
 use ipc::Domain;
 use messages::{RobotState, TwistCommand, TwistState};
 use rustix::process::Signal;
-use testkit::{Place, Running, program, within};
+use testkit::{Ended, Place, Running, program, within};
 use vision_calibration_core::{Iso3, Vec3};
 
 /// The scene's focal lengths, and what is true: larger by this share, another principal point, and
@@ -182,6 +182,12 @@ impl Laboratory {
 
     /// What `vpc-calib` says that is good; takes so many views, steered by a plan.
     fn calibrate(&self, words: &str, views: usize, plan: Option<Plan>) -> String {
+        let said = self.run(words, views, plan);
+        assert_eq!(said.code, Some(0), "{said:?}");
+        said.stdout
+    }
+
+    fn run(&self, words: &str, views: usize, plan: Option<Plan>) -> Ended {
         let (stop, taken) = (Arc::default(), Arc::default());
         let pilot = Pilot {
             domain: self.place.domain(),
@@ -200,14 +206,13 @@ impl Laboratory {
             assert!(found.is_some(), "{}{}", calib.stderr(), emulator());
             taken.store(view, Ordering::Relaxed);
         }
-        let said = calib.ended_within(PATIENCE);
+        let said = calib.ended_within(3 * PATIENCE);
         stop.store(true, Ordering::Relaxed);
         if let Some(pilot) = pilot {
             pilot.join().unwrap();
         }
         testkit::tell(format_args!("$ vpc-calib {words}\n{}", said.stdout));
-        assert_eq!(said.code, Some(0), "{said:?}");
-        said.stdout
+        said
     }
 }
 
@@ -256,12 +261,21 @@ fn lens_mounting_and_latency_are_found_live() {
     ));
     assert!(off_m < 1e-3 && off_deg < 0.1);
 
-    let said = laboratory.calibrate(
-        &format!("latency --domain {domain} --seconds 15 --scene scene.toml --camera camera.toml --hand-eye hand-eye.toml"),
-        0,
-        Some(wiggle),
-    );
+    let latency = |seconds| {
+        let words = format!(
+            "latency --domain {domain} --seconds {seconds} --scene scene.toml --camera camera.toml \
+             --hand-eye hand-eye.toml"
+        );
+        laboratory.run(&words, 0, Some(wiggle))
+    };
+    let mut said = latency(15);
+    // A busy machine looks at too few images in so short a time.
+    if said.stderr.contains("60 at least") {
+        said = latency(60);
+    }
+    assert_eq!(said.code, Some(0), "{said:?}");
     let line = said
+        .stdout
         .lines()
         .find_map(|line| line.strip_prefix("stamp_offset_ms = "));
     let offset: f64 = line.unwrap().split(' ').next().unwrap().parse().unwrap();
