@@ -56,7 +56,7 @@ const MORE_CHANGED: f64 = 12.0;
 const REMEMBERED: usize = 8;
 
 /// What a draft begins with.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Debug)]
 pub(crate) enum Guess {
     /// A course past the side, to the goal.
     Detour(Detour),
@@ -117,7 +117,7 @@ fn drawn(number: u64) -> Detour {
 }
 
 /// A change of commands: a twist is added to some, and taken from as many after them.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Debug)]
 pub(crate) struct Change {
     /// The first of them.
     from: usize,

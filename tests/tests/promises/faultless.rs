@@ -111,7 +111,11 @@ fn from_wake_to_send_nothing_faults_blocks_or_allocates() {
         );
         let has_memory = ["knn", "gpr", "foresight"].contains(&strategy);
         // Foresight follows a sample in few cycles: it refines its way.
-        assert_eq!(report.recalled > 0, has_memory, "{found}");
+        let few = match strategy {
+            "foresight" => 0,
+            _ => cycles / 200,
+        };
+        assert_eq!(report.recalled > few, has_memory, "{found}");
         let faults = (report.minor_faults, report.major_faults);
         assert_eq!(
             (faults, report.blocked, report.allocations),

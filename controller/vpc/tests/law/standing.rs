@@ -309,10 +309,10 @@ fn a_second_before_it_is_armed_shows_most_of_the_best_ways() {
     }
 }
 
-/// No setting was chosen by the best ways of this scene. With `VPC_LONG` from all 21 starts with a
-/// known one.
+/// Starts that chose no setting; the first guesses were chosen on others of this scene. With
+/// `VPC_LONG` from all 21 with a known way.
 #[test]
-fn nor_is_it_dear_in_a_scene_whose_best_ways_chose_nothing() {
+fn nor_is_it_dear_from_starts_that_chose_no_setting() {
     let taken = if is_long() { 0..100 } else { 0..FEW };
     for (standing, most) in [(0, 300.0), (30, 15.0)] {
         let costs = Costs::of(&CUP_DISC_BARS, taken.clone(), None, standing);
