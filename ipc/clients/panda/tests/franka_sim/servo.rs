@@ -3,7 +3,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use hand_eye::{self, Frame};
@@ -51,16 +50,6 @@ enum Pace {
 }
 
 impl Pace {
-    /// Runs at a time. The emulators have real-time priority, and `vpcd` has not: while two of
-    /// franky-sim are at work, at half a processor each, its thinking overruns. The one of the
-    /// paper's pace takes a third.
-    fn jobs(self) -> usize {
-        match self {
-            Self::Paper => 2,
-            Self::Fast => 1,
-        }
-    }
-
     /// The configurations of `vpcd` and `vpc-panda`.
     fn files(self, place: &Place) -> [PathBuf; 2] {
         match self {
@@ -232,34 +221,20 @@ fn a_camera_on_a_third_teams_fr3_arrives_at_ten_times_the_speed() {
 fn arrives(test: &str, team: Team, pace: Pace) {
     let _turn = testkit::turn();
     let count = repeats(&format!("{test}: starts"), 2, 20);
-    let next = AtomicUsize::new(0);
-    let arrived = AtomicUsize::new(0);
-    let job = || {
-        loop {
-            let start = next.fetch_add(1, Ordering::Relaxed);
-            if start >= count {
-                return true;
-            }
-            let mut end = run(test, team, pace, start);
-            if let Some(End::Stalled(log)) = &end {
-                tell(format_args!("start {start}: once more, after: {log}"));
-                end = run(test, team, pace, start);
-            }
-            match end {
-                None => return false,
-                Some(end) => {
-                    tell(format_args!("{test}, start {start}: {end:?}"));
-                    let has_arrived = matches!(end, End::Arrived(..));
-                    arrived.fetch_add(usize::from(has_arrived), Ordering::Relaxed);
-                }
-            }
+    let mut arrived = 0;
+    // One at a time: the emulators have real-time priority, and take the processor from a `vpcd`
+    // that has not.
+    for start in 0..count {
+        let mut end = run(test, team, pace, start);
+        if let Some(End::Stalled(log)) = &end {
+            tell(format_args!("start {start}: once more, after: {log}"));
+            end = run(test, team, pace, start);
         }
-    };
-    let is_possible = std::thread::scope(|scope| {
-        let jobs: Vec<_> = (0..pace.jobs()).map(|_| scope.spawn(job)).collect();
-        jobs.into_iter().all(|job| job.join().unwrap())
-    });
-    if is_possible {
-        assert_eq!(arrived.load(Ordering::Relaxed), count);
+        let Some(end) = end else {
+            return;
+        };
+        tell(format_args!("{test}, start {start}: {end:?}"));
+        arrived += usize::from(matches!(end, End::Arrived(..)));
     }
+    assert_eq!(arrived, count);
 }
