@@ -151,6 +151,12 @@ pub(crate) struct Detour {
 }
 
 impl Course<'_> {
+    /// A command inside the bounds.
+    pub(crate) fn within(&self, command: &Vector6<f64>) -> Twist {
+        let [least, most] = self.bounds.map(Vector6::from);
+        clamped(command, &least, &most).into()
+    }
+
     /// A first guess: screws to the goal at full speed, by a detour.
     pub(crate) fn guess(&self, detour: &Detour, way: &mut [Twist]) {
         way.fill([0.0; DOF]);
@@ -345,6 +351,11 @@ fn slope(task: &Task, x: &Vector3<f64>) -> Matrix2x6<f64> {
 /// The squared distance of two pixels, px^2.
 fn square(a: [f64; 2], b: &[f64; 2]) -> f64 {
     (a[0] - b[0]) * (a[0] - b[0]) + (a[1] - b[1]) * (a[1] - b[1])
+}
+
+/// A vector inside its bounds.
+pub(crate) fn clamped(x: &Vector6<f64>, least: &Vector6<f64>, most: &Vector6<f64>) -> Vector6<f64> {
+    x.zip_zip_map(least, most, |x, least, most| x.max(least).min(most))
 }
 
 #[cfg(test)]

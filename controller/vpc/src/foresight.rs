@@ -592,9 +592,8 @@ impl Thinker<'_> {
             .begin(&start, barrier)
             .copy_from_slice(&remembered);
         self.draft.pass_by(0.0, course);
-        let [least, most] = course.bounds.map(Vector6::from);
         for command in self.draft.way.commands_mut() {
-            *command = refine::clamped(&Vector6::from(*command), &least, &most).into();
+            *command = course.within(&Vector6::from(*command));
         }
         Some(())
     }

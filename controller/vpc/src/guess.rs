@@ -8,9 +8,9 @@
 
 use nalgebra::Vector6;
 
+use crate::Twist;
 use crate::course::{Course, Detour};
 use crate::random::uniform_of;
-use crate::{Twist, refine};
 
 /// Listed first guesses pass so far to the side, m, or so far along both axes, and turn by so much
 /// about an axis of the image, or about the line of sight, rad. Drawn ones stay within.
@@ -139,7 +139,6 @@ impl Change {
 
     /// Changes commands; they stay within the bounds.
     pub(crate) fn apply(&self, course: &Course<'_>, commands: &mut [Twist]) {
-        let [least, most] = course.bounds.map(Vector6::from);
         let limits = Vector6::from(course.task.limits);
         let twist = limits.component_mul(&Vector6::from(self.shares));
         for (k, to) in commands.iter_mut().enumerate() {
@@ -149,7 +148,7 @@ impl Change {
                 Some(1) => command - twist,
                 _ => command,
             };
-            *to = refine::clamped(&command, &least, &most).into();
+            *to = course.within(&command);
         }
     }
 }

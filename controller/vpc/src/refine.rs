@@ -13,7 +13,7 @@
 
 use nalgebra::{Cholesky, Matrix3, Matrix6, Vector3, Vector6};
 
-use crate::course::{Course, Quadratic, Stage, Worth};
+use crate::course::{Course, Quadratic, Stage, Worth, clamped};
 use crate::motion::Motion;
 use crate::size::Size;
 use crate::way::COMMANDS;
@@ -126,14 +126,13 @@ impl<'w> Refiner<'w> {
     fn forward(&mut self, course: &Course<'_>, way: &[Twist], share: f64) -> Option<Worth> {
         self.work += way.len() as u64 * u64::from(self.prices.forward);
         let (mut worth, mut state) = (Worth::default(), course.start);
-        let [least, most] = course.bounds.map(Vector6::from);
         for (k, command) in way.iter().enumerate() {
             let off = read(&self.states[k]).inverse().then(&state).logarithm();
             let (change, feedback) = self.gains[k].split_at(DOF);
             let change = Vector6::from_column_slice(change);
             let feedback = Matrix6::from_column_slice(feedback);
             let command = Vector6::from(*command) + change * share + feedback * off;
-            self.tried[k] = clamped(&command, &least, &most).into();
+            self.tried[k] = course.within(&command);
             state = course.step(&state, &self.tried[k], &mut worth)?;
         }
         course.end(&state, &mut worth)?;
@@ -229,11 +228,6 @@ fn reduced(matrix: &Matrix6<f64>, free: &[bool; DOF]) -> Matrix6<f64> {
         (false, true) => 1.0,
         (false, false) => 0.0,
     })
-}
-
-/// A command inside its bounds.
-pub(crate) fn clamped(x: &Vector6<f64>, least: &Vector6<f64>, most: &Vector6<f64>) -> Vector6<f64> {
-    x.zip_zip_map(least, most, |x, least, most| x.max(least).min(most))
 }
 
 fn stored(motion: &Motion) -> [f64; STATE] {
