@@ -41,7 +41,7 @@ use crate::pose::Tilt;
 use crate::prediction::{InitialState, Plan};
 use crate::random::uniform_of;
 use crate::recall::{self, MotionMemory, Recall};
-use crate::refine::{self, Refiner};
+use crate::refine::Refiner;
 use crate::solver::Solver;
 use crate::strategy::Strategy;
 use crate::task::Task;
