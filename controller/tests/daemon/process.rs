@@ -76,14 +76,12 @@ impl Bench {
 fn lockstep_answers_each_message_exactly_once() {
     let mut bench = Bench::new();
     let daemon = bench.start(&["--clock", "lockstep", "--cycles", "50"]);
-    let mut moved = 0;
     for k in 1..=50 {
         let features = bench.features();
         let answer = bench.ask(&features);
         assert_eq!((answer.features_sequence, answer.stamp.sequence), (k, k));
         bench.attach();
         assert_eq!(answer.state(), Some(TwistState::Moving));
-        moved += usize::from(answer.twist.iter().any(|v| *v != 0.0));
         let limits = bench.scene.limits;
         assert!(
             answer.twist[..3]
@@ -96,8 +94,6 @@ fn lockstep_answers_each_message_exactly_once() {
                 .all(|w| w.abs() <= limits.angular * 1.000_001)
         );
     }
-    // Features that jump may be expected inside an occlusion, where the law stands.
-    assert!(moved >= 40, "{moved}");
     let (code, log) = daemon.ended().log();
     assert_eq!(code, 0, "{log}");
     assert!(
@@ -111,6 +107,7 @@ fn lockstep_answers_each_message_exactly_once() {
         (0, Some(TwistState::Stopped))
     );
     assert_eq!(last.twist, [0.0; 6]);
+    let mut stood = 0;
     for k in 1..=50 {
         let record = bench
             .observer
@@ -123,7 +120,12 @@ fn lockstep_answers_each_message_exactly_once() {
             (k, k, 4)
         );
         assert!(record.error_px > 0.0 && record.step_ns > 0 && record.hold().is_none());
+        // Random features may be inside an occlusion, where the law may stand.
+        let stands = record.twist == [0.0; 6];
+        assert!(!stands || record.clearance_px < 0.0, "{record:?}");
+        stood += usize::from(stands);
     }
+    assert!(stood <= 10, "{stood}");
     assert_eq!(bench.observer.cycles.oldest().unwrap(), None);
 }
 
