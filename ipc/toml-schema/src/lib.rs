@@ -24,6 +24,7 @@
 mod document;
 #[cfg(feature = "flags")]
 mod flags;
+mod generated;
 mod judge;
 mod reference;
 mod schema;
@@ -33,6 +34,7 @@ mod yaml;
 pub use document::{COMMAND_LINE, Document, FileError, MOST_TEXT, read_bytes, read_text};
 #[cfg(feature = "flags")]
 pub use flags::arguments;
+pub use generated::{Generated, GeneratedError, update};
 pub use judge::{Refusal, check};
 pub use reference::reference;
 pub use schema::{schema, schema_file};

@@ -11,6 +11,7 @@
 
 use std::ffi::OsStr;
 use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::sync::{Mutex, OnceLock, PoisonError};
 
@@ -20,6 +21,7 @@ use rustix::process::Pid;
 /// s is killed. A line of `/proc/PID/stat` has state, parent and group behind the name in brackets.
 const SCRIPT: &str = r#"
 trap '' HUP INT TERM
+trap 'rm -rf "$STATE"' EXIT
 read -r _
 kill -TERM 0
 kill -CONT 0
@@ -35,6 +37,7 @@ while [ $round -lt 100 ]; do
     sleep 0.05
     round=$((round + 1))
 done
+rm -rf "$STATE"
 kill -KILL 0
 "#;
 
@@ -51,12 +54,16 @@ pub fn command(program: impl AsRef<OsStr>) -> Command {
     let group = Pid::from_child(&guardian).as_raw_nonzero();
     let mut command = bare(program);
     command.process_group(group.get());
-    // Notes of daemons that were killed are not the user's.
-    let state = std::env::temp_dir().join("state-of-vpc-tests");
+    // Notes of daemons that were killed are not the user's, nor another user's.
     command
-        .env("XDG_STATE_HOME", state)
+        .env("XDG_STATE_HOME", state())
         .env_remove("STATE_DIRECTORY");
     command
+}
+
+/// Where daemons note how they ended; removed with the guardian.
+fn state() -> PathBuf {
+    std::env::temp_dir().join(format!("state-of-vpc-tests-{}", std::process::id()))
 }
 
 /// Ends all children of this process that still run, and what they started, as its end would;
@@ -72,6 +79,7 @@ pub fn end_children() {
 fn guardian() -> Child {
     let mut shell = bare("/bin/sh");
     shell.args(["-c", SCRIPT]).process_group(0).current_dir("/");
+    shell.env("STATE", state());
     shell.stdin(Stdio::piped());
     // Whoever waits for the end of this process's output does not wait for the guardian.
     shell.stdout(Stdio::null()).stderr(Stdio::null());

@@ -27,19 +27,30 @@ pub fn program(name: &str) -> PathBuf {
     path
 }
 
+/// Programs of the clients' workspace, `ipc/clients`, and the library for C.
+const CLIENTS: [(&str, &str); 5] = [
+    ("libvpcclient.so", "vpc-client-c"),
+    ("vpc-calib", "vpc-calib"),
+    ("vpc-camera", "vpc-camera"),
+    ("vpc-panda", "vpc-panda"),
+    ("vpc-ros2", "vpc-ros2"),
+];
+
 fn build(name: &str) {
     let mut cargo = crate::command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    // No package is named, so that features are those of `cargo test`, and nothing is built twice.
-    cargo.current_dir(root()).args(["build", "--quiet"]);
+    cargo.args(["build", "--quiet"]);
+    let client = CLIENTS.iter().find(|(program, _)| *program == name);
+    match client {
+        Some((_, package)) => cargo
+            .current_dir(root().join("ipc/clients"))
+            .args(["--package", package]),
+        None => cargo.current_dir(root()),
+    };
+    // Otherwise no package is named, so that features are those of `cargo test`, and nothing is
+    // built twice.
     match name.strip_prefix("examples/") {
-        Some("judge") => cargo.args(["--package", "vpc-camera", "--example", "judge"]),
         Some(example) => cargo.args(["--example", example]),
-        None if name.ends_with(".so") => cargo.arg("--lib"),
-        // Its package is no default member.
-        None if ["vpc-camera", "vpc-calib", "vpc-ros2"].contains(&name) => {
-            // Features are those of tests, here too.
-            cargo.args(["--package", name, "--package", "testkit", "--bin", name])
-        }
+        None if client.is_some() => &mut cargo,
         None => cargo.args(["--bin", name]),
     };
     cargo.arg("--target-dir").arg(target_directory());

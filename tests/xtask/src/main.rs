@@ -3,7 +3,7 @@
 //!
 //! `cargo xtask codegen` writes every file that is made from the code,
 //! `cargo xtask codegen --check` fails if one of them is stale. Each kind of file has a module
-//! here; [`ARTEFACTS`] lists them.
+//! here; [`GENERATED`] lists them.
 
 mod book;
 mod c_header;
@@ -19,90 +19,68 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, ensure};
 use clap::Parser;
-use toml_schema::schema_file;
+use toml_schema::{Generated, schema_file};
 
-/// A file that is made from the code.
-struct Artefact {
-    /// Below the root of the repository.
-    path: &'static str,
-    /// Its new text, given the present one (empty if there is none).
-    make: fn(present: &str) -> anyhow::Result<String>,
-}
-
-const ARTEFACTS: &[Artefact] = &[
-    Artefact {
+/// Files that are generated from the crates of this workspace; `ipc/clients/codegen` has those of
+/// the clients.
+const GENERATED: &[Generated<anyhow::Error>] = &[
+    Generated {
         path: "ipc/clients/c/include/vpc.h",
         make: |_| c_header::make(),
     },
-    Artefact {
+    Generated {
         path: "ipc/clients/python/vpc_client/messages.py",
         make: |_| Ok(python::messages()),
     },
-    Artefact {
+    Generated {
         path: "ipc/clients/python/vpc_client/opening.py",
         make: |_| Ok(python::opening()),
     },
-    Artefact {
+    Generated {
         path: "ipc/CONTRACT.md",
         make: contract::make,
     },
-    Artefact {
+    Generated {
         path: "controller/CONFIGURATION.md",
         make: |_| configuration::make(),
     },
-    Artefact {
+    Generated {
         path: "controller/vpcd.schema.json",
         make: |_| Ok(schema_file(controller::config::schema())),
     },
-    Artefact {
+    Generated {
         path: "ipc/scene/scene.schema.json",
         make: |_| Ok(schema_file(scene::schema())),
     },
-    Artefact {
+    Generated {
         path: "ipc/scene/arm.schema.json",
         make: |_| Ok(schema_file(scene::arm_schema())),
     },
-    Artefact {
+    Generated {
         path: "hw-sim/hw-sim.schema.json",
         make: |_| Ok(schema_file(hw_sim::config::schema())),
     },
-    Artefact {
-        path: "ipc/clients/camera/vpc-camera.schema.json",
-        make: |_| Ok(schema_file(vpc_camera::config::schema())),
-    },
-    Artefact {
-        path: "ipc/clients/calib/board/board.schema.json",
-        make: |_| Ok(schema_file(tag_board::schema())),
-    },
-    Artefact {
-        path: "ipc/clients/panda/vpc-panda.schema.json",
-        make: |_| Ok(schema_file(vpc_panda::config::schema())),
-    },
-    Artefact {
-        path: "ipc/clients/ros2/vpc-ros2.schema.json",
-        make: |_| Ok(schema_file(vpc_ros2::config::schema())),
-    },
-    Artefact {
+    Generated {
         path: "memory-blob/builder/memory.schema.json",
         make: |_| Ok(schema_file(memory_builder::settings::schema())),
     },
-    Artefact {
+    Generated {
         path: "controller/systemd/vpcd@.service",
         make: |_| units::template("vpcd"),
     },
-    Artefact {
+    Generated {
         path: "controller/systemd/hw-sim@.service",
         make: |_| units::template("hw-sim"),
     },
-    Artefact {
+    Generated {
         path: "controller/systemd/vpc-camera@.service",
         make: |_| units::template("vpc-camera"),
     },
-    Artefact {
+    Generated {
         path: "controller/systemd/vpc-panda@.service",
         make: |_| units::template("vpc-panda"),
     },
-    Artefact {
+    Generated {
         path: "controller/systemd/vpc-ros2@.service",
         make: |_| units::template("vpc-ros2"),
     },
@@ -144,25 +122,15 @@ fn root() -> PathBuf {
 }
 
 fn codegen(check: bool) -> anyhow::Result<()> {
-    let mut stale = Vec::new();
-    for Artefact { path, make } in ARTEFACTS {
-        let file = root().join(path);
-        let present = std::fs::read_to_string(&file).unwrap_or_default();
-        let text = make(&present).with_context(|| format!("{path}: cannot be made"))?;
-        if text == present {
-            continue;
-        }
-        if check {
-            let lines = || present.lines().zip(text.lines());
-            let same = lines().take_while(|(old, new)| old == new).count();
-            stale.push(format!("{path} (line {})", same + 1));
-        } else {
-            std::fs::write(&file, text).with_context(|| format!("{path}: cannot be written"))?;
-            println!("{path}: written");
-        }
+    toml_schema::update(&root(), GENERATED, check)?;
+    let mut clients = release::tool(env!("CARGO"));
+    clients.current_dir(root().join("ipc/clients"));
+    clients.args(["run", "--quiet", "--package", "codegen", "--"]);
+    if check {
+        clients.arg("--check");
     }
-    let stale = stale.join(", ");
-    ensure!(stale.is_empty(), "stale: {stale}; run cargo xtask codegen");
+    let status = clients.status().context("cargo cannot be run")?;
+    ensure!(status.success(), "the clients' files");
     Ok(())
 }
 
