@@ -3,30 +3,91 @@
 //! A marker is a square of bits in a black border, one module wide, in a white one.
 #![forbid(unsafe_code)]
 
+mod codes;
+
 use std::borrow::Cow;
 use std::fmt;
 use std::str::FromStr;
 
-use calib_targets_aruco::Dictionary;
-use calib_targets_aruco::builtins::{BUILTIN_DICTIONARY_NAMES, builtin_dictionary};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Serialize};
 
 /// A family of markers, by OpenCV's name of it.
 #[derive(Clone, Copy, Deserialize, Serialize)]
 #[serde(try_from = "String", into = "String")]
-pub struct Family(Dictionary);
+pub struct Family(&'static Dictionary);
+
+/// What OpenCV knows of a family.
+struct Dictionary {
+    name: &'static str,
+    /// Bits along a side.
+    bits: usize,
+    /// Misread bits that OpenCV corrects.
+    corrected: u8,
+    /// A code for each marker.
+    codes: &'static [u64],
+}
+
+/// Every family, in the order of its name.
+static DICTIONARIES: [Dictionary; 22] = [
+    dictionary("DICT_4X4_100", 4, 1, codes::ARUCO_4X4.split_at(100).0),
+    dictionary("DICT_4X4_1000", 4, 0, &codes::ARUCO_4X4),
+    dictionary("DICT_4X4_250", 4, 1, codes::ARUCO_4X4.split_at(250).0),
+    dictionary("DICT_4X4_50", 4, 1, codes::ARUCO_4X4.split_at(50).0),
+    dictionary("DICT_5X5_100", 5, 3, codes::ARUCO_5X5.split_at(100).0),
+    dictionary("DICT_5X5_1000", 5, 2, &codes::ARUCO_5X5),
+    dictionary("DICT_5X5_250", 5, 2, codes::ARUCO_5X5.split_at(250).0),
+    dictionary("DICT_5X5_50", 5, 3, codes::ARUCO_5X5.split_at(50).0),
+    dictionary("DICT_6X6_100", 6, 5, codes::ARUCO_6X6.split_at(100).0),
+    dictionary("DICT_6X6_1000", 6, 4, &codes::ARUCO_6X6),
+    dictionary("DICT_6X6_250", 6, 5, codes::ARUCO_6X6.split_at(250).0),
+    dictionary("DICT_6X6_50", 6, 6, codes::ARUCO_6X6.split_at(50).0),
+    dictionary("DICT_7X7_100", 7, 8, codes::ARUCO_7X7.split_at(100).0),
+    dictionary("DICT_7X7_1000", 7, 6, &codes::ARUCO_7X7),
+    dictionary("DICT_7X7_250", 7, 8, codes::ARUCO_7X7.split_at(250).0),
+    dictionary("DICT_7X7_50", 7, 9, codes::ARUCO_7X7.split_at(50).0),
+    dictionary("DICT_APRILTAG_16h5", 4, 0, &codes::APRILTAG_16H5),
+    dictionary("DICT_APRILTAG_25h9", 5, 0, &codes::APRILTAG_25H9),
+    dictionary("DICT_APRILTAG_36h10", 6, 0, &codes::APRILTAG_36H10),
+    dictionary("DICT_APRILTAG_36h11", 6, 0, &codes::APRILTAG_36H11),
+    dictionary("DICT_ARUCO_MIP_36h12", 6, 12, &codes::ARUCO_MIP_36H12),
+    dictionary("DICT_ARUCO_ORIGINAL", 5, 0, &codes::ARUCO_ORIGINAL),
+];
+
+const fn dictionary(
+    name: &'static str,
+    bits: usize,
+    corrected: u8,
+    codes: &'static [u64],
+) -> Dictionary {
+    Dictionary {
+        name,
+        bits,
+        corrected,
+        codes,
+    }
+}
+
+const NAMES: [&str; DICTIONARIES.len()] = {
+    let mut names = [""; DICTIONARIES.len()];
+    let mut k = 0;
+    while k < names.len() {
+        names[k] = DICTIONARIES[k].name;
+        k += 1;
+    }
+    names
+};
 
 /// A name that no family has.
 #[derive(Debug, thiserror::Error)]
-#[error("{name}; allowed: {}", BUILTIN_DICTIONARY_NAMES.join(", "))]
+#[error("{name}; allowed: {}", NAMES.join(", "))]
 pub struct UnknownFamily {
     name: String,
 }
 
 impl Family {
     /// Every name.
-    pub const NAMES: &[&str] = BUILTIN_DICTIONARY_NAMES;
+    pub const NAMES: &[&str] = &NAMES;
 
     /// Its name, such as `DICT_APRILTAG_36h11` or `DICT_4X4_50`.
     pub fn name(&self) -> &'static str {
@@ -40,7 +101,7 @@ impl Family {
 
     /// Bits along a side.
     pub fn bits(&self) -> usize {
-        self.0.marker_size
+        self.0.bits
     }
 
     /// Modules along a side of the black square.
@@ -64,7 +125,7 @@ impl Family {
         let distance = self.name().rsplit_once('h').map(|(_, last)| last.parse());
         match distance {
             Some(Ok(distance)) => u8::saturating_sub(distance, 1) / 2,
-            _ => self.0.max_correction_bits,
+            _ => self.0.corrected,
         }
     }
 
@@ -98,7 +159,9 @@ impl Family {
 impl Default for Family {
     /// AprilTag 36h11.
     fn default() -> Self {
-        Self(calib_targets_aruco::builtins::DICT_APRILTAG_36h11)
+        "DICT_APRILTAG_36h11"
+            .parse()
+            .expect("a family of the table")
     }
 }
 
@@ -106,7 +169,7 @@ impl FromStr for Family {
     type Err = UnknownFamily;
 
     fn from_str(name: &str) -> Result<Self, UnknownFamily> {
-        let known = builtin_dictionary(name).map(Self);
+        let known = DICTIONARIES.iter().find(|it| it.name == name).map(Self);
         known.ok_or_else(|| UnknownFamily {
             name: name.to_owned(),
         })
@@ -164,6 +227,11 @@ impl JsonSchema for Family {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_default_is_a_tag_36h11() {
+        assert_eq!(Family::default().name(), "DICT_APRILTAG_36h11");
+    }
 
     /// The white modules of a marker, row by row, a bit each.
     fn white(family: Family, number: u32) -> u128 {
