@@ -1,5 +1,6 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::{Mutex, PoisonError};
 
 use crate::{is_set, root};
@@ -7,15 +8,15 @@ use crate::{is_set, root};
 /// A program of this workspace, `examples/NAME` or `libvpcclient.so`, in the profile of the running
 /// test.
 ///
-/// Asks cargo to build it, which has nothing to do after `cargo test`. With `VPC_STRICT=1` cargo is
-/// not asked, as CI has built everything before.
+/// Asks cargo to build it, which has nothing to do after `cargo test`. With `VPC_BUILT=1` cargo is
+/// not asked: another user may not write there.
 ///
 /// # Panics
 /// If it does not build or is not there.
 pub fn program(name: &str) -> PathBuf {
     static BUILT: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     let mut built = BUILT.lock().unwrap_or_else(PoisonError::into_inner);
-    if built.insert(name.to_owned()) && !is_set("VPC_STRICT") {
+    if built.insert(name.to_owned()) && !is_set("VPC_BUILT") {
         build(name);
     }
     let path = profile_directory().join(name);
@@ -36,32 +37,47 @@ const CLIENTS: [(&str, &str); 5] = [
     ("vpc-ros2", "vpc-ros2"),
 ];
 
-fn build(name: &str) {
-    let mut cargo = crate::command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo.args(["build", "--quiet"]);
-    let client = CLIENTS.iter().find(|(program, _)| *program == name);
-    match client {
-        Some((_, package)) => cargo
-            .current_dir(root().join("ipc/clients"))
-            .args(["--package", package]),
-        None => cargo.current_dir(root()),
+/// The cargo commands that build these programs, one for each workspace, in the profile of this
+/// program.
+pub fn cargo_build(programs: &[&str]) -> Vec<Command> {
+    let package = |name: &str| {
+        let client = CLIENTS.iter().find(|(program, _)| *program == name);
+        client.map(|(_, package)| *package)
     };
-    // Otherwise no package is named, so that features are those of `cargo test`, and nothing is
+    // No package of the root is named, so that features are those of `cargo test`, and nothing is
     // built twice.
-    match name.strip_prefix("examples/") {
-        Some(example) => cargo.args(["--example", example]),
-        None if client.is_some() => &mut cargo,
-        None => cargo.args(["--bin", name]),
-    };
-    cargo.arg("--target-dir").arg(target_directory());
-    if profile_directory().ends_with("release") {
-        cargo.arg("--release");
+    let own = programs.iter().filter(|name| package(name).is_none());
+    let own = own.flat_map(|name| match name.strip_prefix("examples/") {
+        Some(example) => ["--example", example],
+        None => ["--bin", name],
+    });
+    let clients = programs.iter().filter_map(|name| package(name));
+    let clients = clients.flat_map(|package| ["--package", package]);
+    let workspaces: [(_, Vec<&str>); 2] = [
+        (root().to_owned(), own.collect()),
+        (root().join("ipc/clients"), clients.collect()),
+    ];
+    let needed = workspaces.into_iter().filter(|(_, what)| !what.is_empty());
+    let commands = needed.map(|(workspace, what)| {
+        let mut cargo = crate::command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        cargo.current_dir(workspace).arg("build").args(what);
+        cargo.arg("--target-dir").arg(target_directory());
+        if profile_directory().ends_with("release") {
+            cargo.arg("--release");
+        }
+        cargo
+    });
+    commands.collect()
+}
+
+fn build(name: &str) {
+    for mut cargo in cargo_build(&[name]) {
+        let status = cargo.arg("--quiet").status();
+        assert!(
+            status.is_ok_and(|status| status.success()),
+            "{name} does not build"
+        );
     }
-    let status = cargo.status();
-    assert!(
-        status.is_ok_and(|status| status.success()),
-        "{name} does not build"
-    );
 }
 
 /// Where this build's programs are: `target/debug` or `target/release`.

@@ -13,6 +13,7 @@ mod doc;
 mod gallery;
 mod python;
 mod release;
+mod stage;
 mod units;
 
 use std::path::{Path, PathBuf};
@@ -89,6 +90,16 @@ const GENERATED: &[Generated<anyhow::Error>] = &[
 /// Commands for developers.
 #[derive(Parser)]
 enum Command {
+    /// Check format, lints, documentation, generated files, licences of packages
+    Strict,
+    /// Run the tests as a user without any right (as root)
+    Unprivileged,
+    /// Build and test the clients' workspace
+    Clients,
+    /// Let programs and data of others judge ours
+    Judges,
+    /// Run what takes long: installations, every test at full length
+    Long,
     /// Write the files that are made from the code
     Codegen {
         /// Only check: fail if a file is stale
@@ -136,6 +147,11 @@ fn codegen(check: bool) -> anyhow::Result<()> {
 
 fn main() -> anyhow::Result<()> {
     match Command::parse() {
+        Command::Strict => stage::strict(),
+        Command::Unprivileged => stage::unprivileged(),
+        Command::Clients => stage::clients(),
+        Command::Judges => stage::judges(),
+        Command::Long => stage::long(),
         Command::Codegen { check } => codegen(check),
         Command::Book { directory, api } => book::book(&directory, api),
         Command::Gallery { names } => gallery::gallery(&names),
