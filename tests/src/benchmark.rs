@@ -4,12 +4,12 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde::Deserialize;
 use testkit::python::Environment;
 
 use crate::column::{self, Column};
 use crate::external::Method;
 use crate::root;
+use crate::run::{Reason, Run};
 use crate::statistics::wilson;
 
 /// What the peers need.
@@ -53,27 +53,8 @@ pub fn methods(memory: &Path) -> Vec<Method> {
     each.collect()
 }
 
-/// What `cargo table --json` writes.
-#[derive(Debug, Deserialize)]
-pub struct Table {
-    runs: Vec<Run>,
-}
-
-/// A run of it.
-#[derive(Debug, Deserialize)]
-struct Run {
-    start: usize,
-    strategy: String,
-    success: bool,
-    reason: Option<String>,
-    steps: usize,
-    cost: f64,
-    change: Option<f64>,
-    // None where it is infinite.
-    least_clearance_px: Option<f64>,
-    least_between_px: Option<f64>,
-    cycles_us: Vec<f64>,
-}
+/// The runs in one scene: of each strategy or method, by its name, from all starts.
+pub type Runs = Vec<(String, Vec<Run>)>;
 
 /// A strategy or method over all scenes.
 #[derive(Debug, Default)]
@@ -93,11 +74,10 @@ struct Row {
 impl Row {
     fn add(&mut self, run: &Run, best: Option<&[f64; 2]>) {
         self.runs += 1;
-        let is_violation = |reason: &str| ["violation", "lost_sight"].contains(&reason);
-        self.violations += usize::from(run.reason.as_deref().is_some_and(is_violation));
-        let least = [run.least_clearance_px, run.least_between_px];
-        let deepest = least.into_iter().flatten().map(|clearance| -clearance);
-        self.deepest_px = deepest.fold(self.deepest_px, f64::max);
+        let is_violation = |reason| matches!(reason, Reason::Violation | Reason::LostSight);
+        self.violations += usize::from(run.reason.is_some_and(is_violation));
+        let least = run.least_clearance_px.min(run.least_between_px);
+        self.deepest_px = self.deepest_px.max(-least);
         self.cycles_us.extend(&run.cycles_us);
         self.changes.extend(run.change);
         if let (true, Some(best)) = (run.success, best) {
@@ -147,28 +127,32 @@ fn beyond(row: &Row, which: usize) -> String {
     format!("{:.0}, {:.0}", at(0.5), at(0.9))
 }
 
-/// The rows of all tables, a table for each scene.
-pub fn markdown(tables: &[Table]) -> String {
+/// The rows of all methods over these scenes.
+pub fn markdown(scenes: &[Runs]) -> String {
     let mut rows: Vec<Row> = Vec::new();
-    for (scene, table) in tables.iter().enumerate() {
+    for (scene, methods) in scenes.iter().enumerate() {
         // Least cost and cycles from each start.
         let mut best: BTreeMap<usize, [f64; 2]> = BTreeMap::new();
-        for run in table.runs.iter().filter(|run| run.success) {
-            let least = best.entry(run.start).or_insert([f64::INFINITY; 2]);
-            *least = [least[0].min(run.cost), least[1].min(run.steps as f64)];
+        for (start, run) in methods.iter().flat_map(|(_, runs)| runs.iter().enumerate()) {
+            if run.success {
+                let least = best.entry(start).or_insert([f64::INFINITY; 2]);
+                *least = [least[0].min(run.cost), least[1].min(run.steps as f64)];
+            }
         }
-        for run in &table.runs {
-            let found = rows.iter().position(|row| row.name == run.strategy);
+        for (name, runs) in methods {
+            let found = rows.iter().position(|row| row.name == *name);
             let index = found.unwrap_or_else(|| {
                 rows.push(Row {
-                    name: run.strategy.clone(),
-                    arrived: vec![0; tables.len()],
+                    name: name.clone(),
+                    arrived: vec![0; scenes.len()],
                     ..Row::default()
                 });
                 rows.len() - 1
             });
-            rows[index].add(run, best.get(&run.start));
-            rows[index].arrived[scene] += usize::from(run.success);
+            for (start, run) in runs.iter().enumerate() {
+                rows[index].add(run, best.get(&start));
+                rows[index].arrived[scene] += usize::from(run.success);
+            }
         }
     }
     rows.iter_mut().for_each(Row::sort);
@@ -181,22 +165,19 @@ mod tests {
 
     #[test]
     fn costs_are_beside_the_best_run_from_the_same_start() {
-        let run = |start: usize, strategy: &str, success: bool, cost: f64, steps: usize| {
-            serde_json::json!({
-                "start": start, "strategy": strategy, "success": success,
-                "reason": (!success).then_some("violation"), "steps": steps, "cost": cost,
-                "change": null, "least_clearance_px": -1.5, "least_between_px": null,
-                "cycles_us": [1000.0, 3000.0],
-            })
+        let run = |success: bool, cost: f64, steps: usize| Run {
+            success,
+            reason: (!success).then_some(Reason::Violation),
+            steps,
+            cost,
+            least_clearance_px: -1.5,
+            least_between_px: f64::INFINITY,
+            cycles_us: vec![1000.0, 3000.0],
+            ..Run::default()
         };
-        let runs = [
-            run(0, "a", true, 12.0, 40),
-            run(0, "b", true, 10.0, 50),
-            run(1, "a", true, 3.0, 20),
-            run(1, "b", false, 1.0, 2),
-        ];
-        let table = serde_json::from_value(serde_json::json!({ "runs": runs })).unwrap();
-        let text = markdown(&[table]);
+        let a = vec![run(true, 12.0, 40), run(true, 3.0, 20)];
+        let b = vec![run(true, 10.0, 50), run(false, 1.0, 2)];
+        let text = markdown(&[vec![("a".to_owned(), a), ("b".to_owned(), b)]]);
         let cells = |name: &str| -> Vec<String> {
             let line = text
                 .lines()

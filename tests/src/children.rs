@@ -16,8 +16,6 @@ use anyhow::{Context, bail};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-use crate::root;
-
 /// Longest time for a child to end after a termination signal; then it is killed.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Between two looks at signals and children.
@@ -132,34 +130,16 @@ impl Children {
     /// # Errors
     /// Cargo cannot be run, or fails.
     pub fn build(&self, programs: &[&str]) -> anyhow::Result<PathBuf> {
-        // No package is named, so that features are those of `cargo build`, and nothing is built
-        // twice.
-        self.cargo_build(programs.iter().flat_map(|program| ["--bin", program]))
-            .with_context(|| format!("cargo build of {}", programs.join(", ")))
-    }
-
-    /// Builds a package that is no default member of the workspace, in the same place.
-    ///
-    /// # Errors
-    /// As [`Children::build`].
-    pub fn build_package(&self, package: &str) -> anyhow::Result<PathBuf> {
-        self.cargo_build(["--package", package].into_iter())
-            .with_context(|| format!("cargo build of {package}"))
-    }
-
-    fn cargo_build<'a>(&self, what: impl Iterator<Item = &'a str>) -> anyhow::Result<PathBuf> {
-        let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let mut build = testkit::command(cargo);
-        build.current_dir(root()).arg("build").args(what);
-        if !cfg!(debug_assertions) {
-            build.arg("--release");
-        }
-        let (status, _) = self.start("cargo", build)?.output()?;
-        if !status.success() {
-            bail!("{status}");
-        }
         let program = std::env::current_exe()?;
         let directory = program.parent().context("no directory of binaries")?;
+        for cargo in testkit::cargo_build(programs) {
+            // It waits, for minutes, while another build is at work.
+            eprintln!("Building {} with cargo.", programs.join(", "));
+            let (status, _) = self.start("cargo", cargo)?.output()?;
+            if !status.success() {
+                bail!("cargo build of {}: {status}", programs.join(", "));
+            }
+        }
         Ok(directory.to_owned())
     }
 

@@ -6,13 +6,13 @@ use serde::Serialize;
 
 /// The document.
 #[derive(Clone, Debug, Serialize)]
-pub struct Document<Row, Run> {
+pub struct Document<'a, Row, Run> {
     /// The command line.
     pub command: String,
     /// What stands above the table: scene, starts, and the camera's flaws.
-    pub title: String,
+    pub title: &'a str,
     /// Rows of these runs.
-    pub rows: Vec<Row>,
+    pub rows: &'a [Row],
     /// Runs, strategy by strategy, in the order of the starts.
     pub runs: Vec<Record<Run>>,
 }

@@ -1,5 +1,5 @@
-//! What the programs `demo` and `table` and the system tests share: closed-loop runs against an
-//! exact camera, and their statistics.
+//! What the program `vpc-lab`, the module for Python and the system tests share: closed-loop runs
+//! against an exact camera, and their statistics.
 
 #![forbid(unsafe_code)]
 
@@ -17,6 +17,7 @@ pub mod joint_task;
 pub mod laboratory;
 pub mod pictures;
 pub mod processes;
+pub mod results;
 pub mod robot;
 pub mod robot_table;
 pub mod row;
@@ -26,14 +27,6 @@ pub mod source;
 pub mod spec;
 mod statistics;
 pub mod steering;
-
-/// The arguments of this process. The aliases in `.cargo/config.toml` end with `--`, so that `cargo
-/// demo --help` asks the program; who writes `cargo demo -- --help`, as everywhere else, gets the
-/// same.
-pub fn arguments() -> impl Iterator<Item = std::ffi::OsString> {
-    // Neither program takes words without a flag, which a separator would be for.
-    std::env::args_os().filter(|argument| argument != "--")
-}
 
 /// The root of the repository.
 pub fn root() -> &'static std::path::Path {

@@ -23,7 +23,7 @@ use crate::statistics::mean;
 use crate::steering::Steering;
 
 /// What happened in a run.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Run {
     /// Whether the goal was reached in time without a violation.
     pub success: bool,

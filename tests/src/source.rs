@@ -73,9 +73,9 @@ impl Source {
             Self::File(path) => return Ok(path.clone()),
             Self::Made { count, seed } => (count.to_string(), seed.to_string()),
         };
-        let (command, number) = match product {
-            Product::Starts => ("starts", "--count"),
-            Product::Memory => ("build", "--trajectories"),
+        let (command, number, noun) = match product {
+            Product::Starts => ("starts", "--count", "starts"),
+            Product::Memory => ("build", "--trajectories", "trajectories"),
         };
         let programs = children.build(&["vpc-memory"])?;
         fs::create_dir_all(directory).with_context(|| directory.display().to_string())?;
@@ -83,6 +83,7 @@ impl Source {
         let mut maker = testkit::command(programs.join("vpc-memory"));
         maker.arg(command).arg(scene).arg("-o").arg(&path);
         maker.args([number, &count, "--seed", &seed]);
+        eprintln!("vpc-memory {command}: {count} {noun} by seed {seed}");
         // Standard output is the caller's.
         maker.stdout(Stdio::piped());
         let (status, said) = children.start("vpc-memory", maker)?.output()?;

@@ -318,8 +318,8 @@ fn a_table_with_a_program_that_hangs_ends_and_says_why() {
     let place = Place::new();
     place.file("method.sh", "read line; sleep 100");
     place.file("starts.csv", scene::PAPER_SIM_STARTS);
-    let mut table = command(env!("CARGO_BIN_EXE_table"));
-    table.arg("--scene").arg(testkit::scene_file());
+    let mut table = command(env!("CARGO_BIN_EXE_vpc-lab"));
+    table.arg("table").arg("--scene").arg(testkit::scene_file());
     table.arg("--starts").arg(place.path("starts.csv"));
     table.args([
         "--strategies",

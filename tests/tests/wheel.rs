@@ -70,7 +70,7 @@ fn the_wheel_keeps_its_promises() {
     record(&recorded);
     let mut tests = command(&python);
     tests.arg(root().join("controller/python/tests/test_vpc.py"));
-    tests.arg(env!("CARGO_BIN_EXE_table"));
+    tests.arg(env!("CARGO_BIN_EXE_vpc-lab"));
     tests.arg(testkit::program("vpc-memory")).arg(recorded);
     let said = run(&mut tests).unwrap_or_else(|fault| panic!("{fault}"));
     assert!(said.matches("test_").count() >= 15, "{said}");

@@ -21,7 +21,7 @@ import numpy as np
 import vpc
 
 ROOT = Path(__file__).resolve().parents[3]
-PROGRAMS = [ROOT / "target/release/table", ROOT / "target/release/vpc-memory"]
+PROGRAMS = [ROOT / "target/release/vpc-lab", ROOT / "target/release/vpc-memory"]
 SCENE = ROOT / "ipc/scene/scenes/paper-sim.toml"
 STARTS = ROOT / "ipc/scene/scenes/paper-sim-starts.csv"
 #: Of three cycles that commanded 0, 1 and 2 m/s along x.
@@ -65,7 +65,7 @@ def table(*arguments: object) -> list[dict[str, Any]]:
     """The runs of the command, with the keys of rows here."""
     with tempfile.TemporaryDirectory() as place:
         out = Path(place, "out.json")
-        program(0, *arguments, "--json", out)
+        program(0, "table", *arguments, "--json", out)
         runs: list[dict[str, Any]] = json.loads(out.read_text())["runs"]
     for run in runs:
         run |= run.pop("arm", {})

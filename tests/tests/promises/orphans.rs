@@ -172,7 +172,7 @@ fn leaves_nothing(program: &str, arguments: &[&str]) {
 fn the_demo_leaves_nothing_behind() {
     let _turn = turn();
     program("vpcd");
-    leaves_nothing(env!("CARGO_BIN_EXE_demo"), &["--no-progress"]);
+    leaves_nothing(env!("CARGO_BIN_EXE_vpc-lab"), &["demo", "--no-progress"]);
 }
 
 #[test]
@@ -182,7 +182,7 @@ fn a_build_ends_with_its_compilers() {
     // It does what cargo does while it compiles.
     let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
     fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
-    let mut parent = Parent::start(env!("CARGO_BIN_EXE_demo"), &[], Some(&cargo));
+    let mut parent = Parent::start(env!("CARGO_BIN_EXE_vpc-lab"), &["demo"], Some(&cargo));
     parent.runs(&["cargo", "sleep"]);
     let status = parent.ends_by(Signal::TERM);
     assert_eq!(status.signal(), Some(Signal::TERM.as_raw()), "{status}");
@@ -195,7 +195,7 @@ fn what_was_started_to_outlive_a_terminal_does() {
     let place = Place::new();
     let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
     fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
-    let words = [env!("CARGO_BIN_EXE_demo")];
+    let words = [env!("CARGO_BIN_EXE_vpc-lab"), "demo"];
     let mut parent = Parent::start("nohup", &words, Some(&cargo));
     parent.runs(&["cargo", "sleep"]);
     kill_process(Pid::from_child(&parent.child), Signal::HUP).unwrap();

@@ -1,16 +1,14 @@
 //! `cargo table`: every strategy on the same starts, closed loop against an exact camera; the
 //! paper's Table I.
 
-use std::fmt::Display;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::{Context, bail};
-use clap::error::ErrorKind;
+use anyhow::bail;
 use clap::parser::ValueSource;
-use clap::{Args, CommandFactory, FromArgMatches, Parser, ValueEnum};
+use clap::{Arg, ArgMatches, Args, Command, FromArgMatches, ValueEnum};
 use hw_sim::robot::arm::ArmSettings;
 use hw_sim::robot::described;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -18,19 +16,24 @@ use memory_blob::MemoryFile;
 use messages::ClockMode;
 use scene::{Arm, Pose, Scene, read_starts};
 use serde::Serialize;
-use system_tests::children::{Children, attended};
+use system_tests::children::Children;
+use system_tests::column;
 use system_tests::document::{self, Document};
 use system_tests::external::{External, Method};
 use system_tests::fci_table::{self, FciFlags, Setup};
 use system_tests::flags::{Common, FreeFlags, RobotFlags, check};
 use system_tests::pictures::{self, Draw};
+use system_tests::results::{Measured, Results};
+use system_tests::robot::RobotRun;
+use system_tests::robot_table::{self, RobotRow};
 use system_tests::row::{self, Row};
 use system_tests::run::{Caches, Run, through, time};
 use system_tests::simulated::Simulated;
 use system_tests::source::{Product, Source};
 use system_tests::steering::Steering;
-use system_tests::{arguments, column, robot_table};
 use vpc::{Settings, Task};
+
+use crate::{arguments, write};
 
 /// Runs every strategy from the same starts against an emulated camera, as in the paper's Table I.
 ///
@@ -41,9 +44,8 @@ use vpc::{Settings, Task};
 /// the mean of what the law minimizes, per step ahead; cycles to arrival, the mean over these runs;
 /// p99 of the time that a decision takes, of an external method from question to answer; failures
 /// by their reason. With --wide also slack, the time that foresight takes after each decision.
-#[derive(Parser)]
-#[command(name = "table", version)]
-struct Cli {
+#[derive(Args)]
+pub(crate) struct Cli {
     /// Scene file (TOML).
     #[arg(long)]
     scene: PathBuf,
@@ -87,6 +89,10 @@ struct CameraFlags {
     /// before each, which takes a second a run.
     #[arg(long)]
     cold: bool,
+    /// Write the rows of all memories to this file (JSON), with commit and command; `cargo xtask
+    /// codegen` quotes `tests/results/table.json` in README.md.
+    #[arg(long, value_name = "FILE")]
+    results: Option<PathBuf>,
     #[command(flatten)]
     world: FreeFlags,
     /// A method of another program: its row's name, the program and its arguments, separated by
@@ -122,112 +128,131 @@ enum Body {
 const MORE: &str =
     "All columns, and the starts that failed: --wide. What each column means: --help.";
 
-/// The command line, unless it holds a flag that the chosen body ignores: a margin that changes
-/// nothing must not pass for one that does nothing.
-fn parse(arguments: impl IntoIterator<Item = std::ffi::OsString>) -> Result<Cli, clap::Error> {
-    let matches = Cli::command().try_get_matches_from(arguments)?;
-    let given = |id: &str| matches.value_source(id) == Some(ValueSource::CommandLine);
-    let cli = Cli::from_arg_matches(&matches)?;
-    let none = || clap::Command::new("");
-    let bodies = [
-        (Body::Free, "free", CameraFlags::augment_args(none())),
-        (Body::Panda, "panda", RobotFlags::augment_args(none())),
-        (Body::Fci, "fci", FciFlags::augment_args(none())),
-    ];
-    // Both have the same flags.
-    let body = match cli.robot {
-        Body::Urdf => Body::Panda,
-        body => body,
-    };
-    for (_, name, flags) in bodies.iter().filter(|(it, ..)| *it != body) {
-        let mut ids = flags.get_arguments().map(|flag| flag.get_id().as_str());
-        if let Some(id) = ids.find(|id| given(id)) {
-            let words = format!("--{} goes with --robot {name}", id.replace('_', "-"));
-            return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
-        }
+impl Cli {
+    /// What a line of words says.
+    pub(crate) fn of(words: &[&str]) -> Result<Self, clap::Error> {
+        let command = Self::augment_args(Command::new("table").no_binary_name(true));
+        Self::from_arg_matches(&command.try_get_matches_from(words)?)
     }
-    let panda_only = [
-        (cli.arm.edge.is_some(), "edge"),
-        (cli.arm.servo_rule, "servo-rule"),
-        (cli.arm.joint_task, "joint-task"),
-        (cli.plots.is_some(), "plots"),
-    ];
-    let mut strange = panda_only.iter().filter(|(is_given, _)| *is_given);
-    if let (Body::Urdf, Some((_, flag))) = (cli.robot, strange.next()) {
-        let words = format!("--{flag} does not go with --robot urdf");
-        return Err(Cli::command().error(ErrorKind::ArgumentConflict, words));
-    }
-    let common = Common::augment_args(none());
-    let mut ids = common.get_arguments().map(|flag| flag.get_id().as_str());
-    match ids.find(|id| cli.robot == Body::Fci && *id != "strategies" && given(id)) {
-        Some(id) => {
-            let words = format!("--{} does not go with --robot fci", id.replace('_', "-"));
-            Err(Cli::command().error(ErrorKind::ArgumentConflict, words))
+
+    /// Refuses a flag that the chosen body ignores: a margin that changes nothing must not pass for
+    /// one that does nothing.
+    pub(crate) fn check(&self, given: &ArgMatches) -> Result<(), String> {
+        let is_given = |id: &str| given.value_source(id) == Some(ValueSource::CommandLine);
+        let first = |flags: Command| {
+            let mut ids = flags.get_arguments().map(|flag| flag.get_id().as_str());
+            // Every body has strategies.
+            let id = ids.find(|id| *id != "strategies" && is_given(id))?;
+            Some(format!("--{}", id.replace('_', "-")))
+        };
+        let none = || Command::new("");
+        let bodies = [
+            ("free", &[Body::Free][..], CameraFlags::augment_args(none())),
+            (
+                "panda",
+                &[Body::Panda, Body::Urdf],
+                RobotFlags::augment_args(none()),
+            ),
+            ("fci", &[Body::Fci], FciFlags::augment_args(none())),
+        ];
+        for (name, bodies, flags) in bodies {
+            if let (false, Some(flag)) = (bodies.contains(&self.robot), first(flags)) {
+                return Err(format!("{flag} goes with --robot {name}"));
+            }
         }
-        None => Ok(cli),
+        let only_panda = ["edge", "servo_rule", "joint_task", "plots"].map(Arg::new);
+        let (name, without) = match self.robot {
+            Body::Urdf => ("urdf", none().args(only_panda)),
+            Body::Fci => ("fci", Common::augment_args(none())),
+            _ => ("", none()),
+        };
+        first(without).map_or(Ok(()), |flag| {
+            Err(format!("{flag} does not go with --robot {name}"))
+        })
     }
 }
 
-fn main() -> ExitCode {
-    attended("table", |children| {
-        let cli = parse(arguments()).unwrap_or_else(|error| error.exit());
-        table(children, &cli)?;
-        Ok(ExitCode::SUCCESS)
-    })
-}
-
-fn table(children: &Children, cli: &Cli) -> anyhow::Result<()> {
-    cli.common.check()?;
-    if cli.memory.len() > 1 && (cli.json.is_some() || cli.plots.is_some()) {
-        bail!(
-            "--json and --plots go with one --memory; given: {}",
-            cli.memory.len()
-        );
+/// Prints a table for each memory, and writes what was asked for.
+pub(crate) fn table(children: &Children, cli: &Cli) -> anyhow::Result<ExitCode> {
+    let (several, count) = (cli.memory.len() > 1, cli.memory.len());
+    if several && (cli.json.is_some() || cli.plots.is_some()) {
+        bail!("--json and --plots go with one --memory; given: {count}");
     }
-    let mut scene = Scene::read(&cli.scene)?;
-    let fingerprint = scene.fingerprint();
-    if let Some(path) = &cli.arm.arm {
-        scene.arm = Some(Arm::read(path)?);
-    }
-    let starts = made(children, cli, &cli.starts, Product::Starts, |path| {
-        Ok(read_starts(path)?)
-    })?;
+    let (scene, starts) = scene_and_starts(children, cli)?;
     let mut strategies = cli.common.strategies.iter();
     let sources = match cli.memory.as_slice() {
         [] if strategies.any(|spec| spec.strategy.needs_memory()) => vec![Some(&PAPERS_MEMORY)],
         [] => vec![None],
         sources => sources.iter().map(Some).collect(),
     };
-    scene.camera.rate_hz = cli.common.rate.unwrap_or(scene.camera.rate_hz);
+    let mut results = Results::begin(command());
     for source in sources {
-        let open = |path: &Path| Ok(MemoryFile::open(path, Some(fingerprint.bytes()))?);
-        let open = |source| made(children, cli, source, Product::Memory, open);
-        let memory = source.map(open).transpose()?;
-        if cli.memory.len() > 1 {
-            println!("memory {}", source.map_or(String::new(), Source::to_string));
+        let memory = source.map(|source| memory(children, cli, source));
+        let memory = memory.transpose()?;
+        let name = source.map_or(String::new(), Source::to_string);
+        if several {
+            println!("memory {name}");
         }
         match cli.robot {
-            Body::Free => free(cli, &scene, &starts, memory.as_ref()),
-            Body::Panda | Body::Urdf => on_robot(cli, &scene, &starts, memory.as_ref()),
-            Body::Fci => by_interface(children, cli, source, starts.len()),
-        }?;
+            Body::Free => {
+                let done = free(cli, &scene, &starts, memory.as_ref())?;
+                done.finish(cli, &scene, memory.as_ref())?;
+                let (memory, rows) = (name, done.rows);
+                results.tables.push(Measured { memory, rows });
+            }
+            Body::Panda | Body::Urdf => {
+                on_robot(cli, &scene, &starts, memory.as_ref())?.finish(cli, &scene, None)?;
+            }
+            Body::Fci => by_interface(children, cli, source, starts.len())?,
+        }
     }
-    Ok(())
+    if let Some(path) = &cli.camera.results {
+        write(path, &results.to_json()?)?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The scene, with the arm and the rate that the flags give it, and the starts.
+pub(crate) fn scene_and_starts(
+    children: &Children,
+    cli: &Cli,
+) -> anyhow::Result<(Scene, Vec<Pose>)> {
+    cli.common.check()?;
+    let mut scene = Scene::read(&cli.scene)?;
+    if let Some(path) = &cli.arm.arm {
+        scene.arm = Some(Arm::read(path)?);
+    }
+    scene.camera.rate_hz = cli.common.rate.unwrap_or(scene.camera.rate_hz);
+    let read = |path: &Path| Ok(read_starts(path)?);
+    let starts = made(children, cli, &cli.starts, Product::Starts, read)?;
+    Ok((scene, starts))
+}
+
+/// The memory of the scene as its file has it.
+pub(crate) fn memory(
+    children: &Children,
+    cli: &Cli,
+    source: &Source,
+) -> anyhow::Result<MemoryFile> {
+    let task = Scene::read(&cli.scene)?.fingerprint();
+    let open = |path: &Path| Ok(MemoryFile::open(path, Some(task.bytes()))?);
+    made(children, cli, source, Product::Memory, open)
 }
 
 /// The table of the camera that flies freely.
-fn free(
+pub(crate) fn free(
     cli: &Cli,
     scene: &Scene,
     starts: &[Pose],
     memory: Option<&MemoryFile>,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<Done<Row, Run>> {
     let CameraFlags {
         repeats,
         cold,
         ref world,
         ref external,
         timeout_s,
+        ..
     } = cli.camera;
     world.check()?;
     let on_loss = world.on_loss();
@@ -292,13 +317,12 @@ fn free(
     let title = title(cli, starts.len());
     let text = column::markdown(&row::COLUMNS, &rows, cli.wide);
     let text = format!("{title}\n\n{text}{told}");
-    let document = Document {
-        command: command(),
+    Ok(Done {
         title,
+        text,
         rows,
-        runs: document::records(&all, 0),
-    };
-    finish(cli, scene, memory, &text, &document, &all, 0)
+        all,
+    })
 }
 
 /// The runs of what steers, by its name, from all starts; after each, `then` is called.
@@ -367,10 +391,12 @@ fn title(cli: &Cli, starts: usize) -> String {
     title
 }
 
-/// The command line.
+/// The command line, as it may be given again.
 fn command() -> String {
-    let words = arguments().map(|word| word.display().to_string() + " ");
-    words.collect()
+    let words = arguments()
+        .skip(2)
+        .map(|word| format!(" {}", word.display()));
+    format!("cargo table --{}", words.collect::<String>())
 }
 
 /// The table of the robot.
@@ -379,7 +405,7 @@ fn on_robot(
     scene: &Scene,
     starts: &[Pose],
     memory: Option<&MemoryFile>,
-) -> anyhow::Result<()> {
+) -> anyhow::Result<Done<RobotRow, RobotRun>> {
     let count = cli.arm.only.map_or(starts.len(), |_| 1);
     let rows = cli.common.strategies.len() + usize::from(cli.arm.joint_task);
     let bar = bar(rows * count);
@@ -396,14 +422,13 @@ fn on_robot(
     let rows = rows.map(|(name, runs)| robot_table::row(name, runs, is_following));
     let rows: Vec<_> = rows.collect();
     let text = column::markdown(&robot_table::COLUMNS, &rows, cli.wide);
-    let first = cli.arm.only.unwrap_or(0);
-    let document = Document {
-        command: command(),
-        title: cli.scene.display().to_string(),
+    let title = cli.scene.display().to_string();
+    Ok(Done {
+        title,
+        text,
         rows,
-        runs: document::records(&all, first),
-    };
-    finish(cli, scene, None, &text, &document, &all, first)
+        all,
+    })
 }
 
 /// The table of the robot behind the vendor's interface.
@@ -438,56 +463,55 @@ fn by_interface(
     Ok(())
 }
 
-/// Prints from which starts each strategy failed, where the table is wide; the first run is from
-/// start `first`.
-fn say_failures<Run: Draw>(
-    out: &mut impl Write,
-    all: &[(impl Display, Vec<Run>)],
-    first: usize,
-    is_wide: bool,
-) -> anyhow::Result<()> {
-    if !is_wide {
-        writeln!(out, "{MORE}")?;
-        return Ok(());
-    }
-    for (name, runs) in all {
-        let failed = (first..).zip(runs).filter(|(_, run)| !run.is_success());
-        let failed: Vec<_> = failed.map(|(start, _)| start.to_string()).collect();
-        if !failed.is_empty() {
-            writeln!(out, "{name} failed from {}", failed.join(", "))?;
-        }
-    }
-    Ok(())
+/// Rows, and the runs of each strategy that they were made from.
+pub(crate) struct Done<Row, Run> {
+    title: String,
+    /// What is printed.
+    text: String,
+    rows: Vec<Row>,
+    pub(crate) all: Vec<(String, Vec<Run>)>,
 }
 
-/// Prints the rows and what failed, and writes what was asked for.
-fn finish<Row: Serialize, Run: Draw + Serialize>(
-    cli: &Cli,
-    scene: &Scene,
-    memory: Option<&MemoryFile>,
-    text: &str,
-    document: &Document<Row, &Run>,
-    all: &[(impl Display, Vec<Run>)],
-    first: usize,
-) -> anyhow::Result<()> {
-    let mut out = std::io::stdout().lock();
-    writeln!(out, "{text}")?;
-    say_failures(&mut out, all, first, cli.wide)?;
-    if let Some(path) = &cli.json {
-        write(path, &serde_json::to_vec(document)?)?;
-        writeln!(out, "wrote {}", path.display())?;
+impl<Row: Serialize, Run: Draw + Serialize> Done<Row, Run> {
+    /// The rows, and from which starts each strategy failed where the table is wide.
+    pub(crate) fn told(&self, cli: &Cli) -> String {
+        if !cli.wide {
+            return format!("{}\n{MORE}\n", self.text);
+        }
+        let first = cli.arm.only.unwrap_or(0);
+        let failed = self.all.iter().map(|(name, runs)| {
+            let failed = (first..).zip(runs).filter(|(_, run)| !run.is_success());
+            let failed: Vec<_> = failed.map(|(start, _)| start.to_string()).collect();
+            match failed.is_empty() {
+                true => String::new(),
+                false => format!("{name} failed from {}\n", failed.join(", ")),
+            }
+        });
+        format!("{}\n{}", self.text, failed.collect::<String>())
     }
-    if let Some(directory) = &cli.plots {
-        let task = Task::new(scene)?;
-        for path in pictures::of_table(directory, scene, &task, memory, all, cli.arm.only)? {
+
+    /// Prints them, and writes what was asked for.
+    fn finish(&self, cli: &Cli, scene: &Scene, memory: Option<&MemoryFile>) -> anyhow::Result<()> {
+        let mut out = std::io::stdout().lock();
+        write!(out, "{}", self.told(cli))?;
+        if let Some(path) = &cli.json {
+            let document = Document {
+                command: command(),
+                title: &self.title,
+                rows: &self.rows,
+                runs: document::records(&self.all, cli.arm.only.unwrap_or(0)),
+            };
+            write(path, &serde_json::to_vec(&document)?)?;
             writeln!(out, "wrote {}", path.display())?;
         }
+        if let Some(directory) = &cli.plots {
+            let (task, only) = (Task::new(scene)?, cli.arm.only);
+            for path in pictures::of_table(directory, scene, &task, memory, &self.all, only)? {
+                writeln!(out, "wrote {}", path.display())?;
+            }
+        }
+        Ok(())
     }
-    Ok(())
-}
-
-fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    program::replace(path, bytes).with_context(|| format!("{}: cannot write", path.display()))
 }
 
 /// Reads a file; one that is to be made is made in a temporary directory, which is removed once it
@@ -520,12 +544,12 @@ fn bar(total: usize) -> ProgressBar {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::Lab;
 
     fn refusal(flags: &str) -> Option<String> {
-        let line = format!("table --scene s --starts s {flags}");
-        let parsed = parse(line.split_whitespace().map(Into::into));
-        parsed.err().map(|error| error.to_string())
+        let line = format!("vpc-lab table --scene s --starts s {flags}");
+        let read = Lab::read(line.split_whitespace().map(Into::into));
+        read.err().map(|error| error.to_string())
     }
 
     #[test]

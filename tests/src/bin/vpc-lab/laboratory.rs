@@ -7,10 +7,9 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, bail};
-use clap::Parser;
+use clap::Args;
 use hw_sim::motion::{HELP, MotionKeys};
-use system_tests::arguments;
-use system_tests::children::{Children, attended};
+use system_tests::children::Children;
 use system_tests::flags::check;
 use system_tests::flaw::{self, Flaw};
 use system_tests::laboratory::{self, Row, Setup};
@@ -21,9 +20,8 @@ use toml::{Table, Value};
 /// lockstep, from many starts, with errors between what is and what the programs are told.
 ///
 /// The first row has no errors, the second one all of them at once.
-#[derive(Parser)]
-#[command(name = "laboratory", version)]
-struct Cli {
+#[derive(Args)]
+pub(crate) struct Cli {
     /// Scene file (TOML) whose markers have a size.
     #[arg(long, default_value = "ipc/scene/scenes/tags-robot.toml")]
     scene: PathBuf,
@@ -78,23 +76,15 @@ struct Cli {
     json: Option<PathBuf>,
 }
 
-fn main() -> ExitCode {
-    attended("laboratory", |children| {
-        let cli = Cli::parse_from(arguments());
-        run(children, &cli)?;
-        Ok(ExitCode::SUCCESS)
-    })
-}
-
-fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
+/// Runs all rows.
+pub(crate) fn laboratory(children: &Children, cli: &Cli) -> anyhow::Result<ExitCode> {
     check("--follow-s", cli.follow_s, 0.0, 3600.0)?;
     let flaws = chosen(flaw::read(&cli.flaws)?, &cli.only)?;
     let place = laboratory::place();
     let _place = children.place(place.clone());
     fs::create_dir_all(&place)?;
     let scene = told(cli, &place)?;
-    let programs = children.build(&["vpcd", "hw-sim", "vpc-memory"])?;
-    children.build_package("vpc-camera")?;
+    let programs = children.build(&["vpcd", "hw-sim", "vpc-memory", "vpc-camera"])?;
     let starts = cli.starts.file(children, &scene, Product::Starts, &place)?;
     let memory = cli.memory.file(children, &scene, Product::Memory, &place)?;
     let starts = fs::read_to_string(&starts).with_context(|| starts.display().to_string())?;
@@ -143,7 +133,8 @@ fn run(children: &Children, cli: &Cli) -> anyhow::Result<()> {
             add(&format!("{}, level {level}", flaw.name), &[(flaw, level)])?;
         }
     }
-    tell(&flaws, &rows, cli.json.as_deref())
+    tell(&flaws, &rows, cli.json.as_deref())?;
+    Ok(ExitCode::SUCCESS)
 }
 
 /// The errors of these names, or all.
@@ -206,8 +197,7 @@ fn tell(flaws: &[Flaw], rows: &[Row], json: Option<&Path>) -> anyhow::Result<()>
         writeln!(out, "{} at level 1: {}", flaw.name, flaw.what)?;
     }
     if let Some(path) = json {
-        fs::write(path, serde_json::to_vec_pretty(rows)?)
-            .with_context(|| path.display().to_string())?;
+        crate::write(path, &serde_json::to_vec_pretty(rows)?)?;
     }
     Ok(())
 }

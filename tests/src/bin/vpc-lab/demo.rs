@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 use std::process::{ExitCode, Stdio};
 
 use anyhow::{Context, bail};
-use clap::{Parser, ValueEnum};
+use clap::{Args, ValueEnum};
 use hw_sim::recording;
 use hw_sim::robot::arm::ArmSettings;
 use memory_blob::MemoryFile;
 use messages::ClockMode;
 use scene::{Pose, Scene, read_starts};
-use system_tests::children::{Children, attended};
+use system_tests::children::Children;
 use system_tests::flags::{Common, RobotFlags, defaults};
 use system_tests::pictures::{self, Draw};
 use system_tests::simulated::Simulated;
@@ -57,9 +57,8 @@ impl Which {
 /// Builds vpcd and hw-sim, runs the chosen strategy in real time, then compares the strategies from
 /// the same start and draws pictures. Exits with 0 only if the camera reached the goal without a
 /// violation.
-#[derive(Parser)]
-#[command(name = "demo", version)]
-struct Cli {
+#[derive(Args)]
+pub(crate) struct Cli {
     /// Scene to show.
     #[arg(long, value_enum, default_value = "paper-sim")]
     scene: Which,
@@ -95,12 +94,10 @@ struct Demo<'a> {
     start: usize,
 }
 
-fn main() -> ExitCode {
-    attended("demo", |children| {
-        let cli = Cli::parse_from(system_tests::arguments());
-        let has_arrived = Demo::new(&cli)?.show(children)?;
-        Ok(ExitCode::from(u8::from(!has_arrived)))
-    })
+/// Shows everything; a failure where the camera did not reach the goal.
+pub(crate) fn show(children: &Children, cli: &Cli) -> anyhow::Result<ExitCode> {
+    let has_arrived = Demo::new(cli)?.show(children)?;
+    Ok(ExitCode::from(u8::from(!has_arrived)))
 }
 
 impl<'a> Demo<'a> {
@@ -136,7 +133,6 @@ impl<'a> Demo<'a> {
     /// Shows everything; whether the goal was reached.
     fn show(&self, children: &Children) -> anyhow::Result<bool> {
         let strategy = self.strategy;
-        eprintln!("Building vpcd and hw-sim.");
         let programs = children.build(&["vpcd", "hw-sim"])?;
         println!(
             "\nRunning vpcd ({strategy}) and hw-sim as two processes: {}, start {}.",
