@@ -1,15 +1,11 @@
-//! The promises of the contract, over real shared memory and with real processes. One executable:
-//! each that links iceoryx2 costs up to a minute of build. Peers that are killed are this same
-//! executable, started again.
+//! The promises of the contract, over real shared memory and with other processes (`peers`).
 
 mod images;
-mod killed;
-mod python;
+mod peers;
 
 use std::collections::BTreeSet;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use ipc::{
@@ -19,95 +15,21 @@ use ipc::{
 use messages::{CycleRecord, Features, Hold, Order, RobotState, TwistCommand, TwistState};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rustix::process::{Signal, getpid, kill_process};
 use testkit::{Place, Running, eventually};
+
+use peers::{peer, square, working};
 
 /// Kills at random moments of a start-up; each costs a few ms.
 const START_UP_KILLS: u32 = 200;
+/// Rounds of them beside a peer.
+const BESIDE_A_PEER: u64 = 60;
 /// Kills of a working publisher.
-const STEADY_KILLS: u32 = 10;
+const STEADY_KILLS: u32 = 5;
 /// Messages of the allocation test.
 const MESSAGES: u64 = 10_000;
 
 #[global_allocator]
 static ALLOCATOR: heap_meter::Meter = heap_meter::Meter;
-
-fn square(offset: f64) -> Features {
-    let (a, b) = (100.0 + offset, 200.0 + offset);
-    Features::new(&[[a, a], [b, a], [b, b], [a, b]], ipc::now_ns())
-}
-
-/// This executable as a peer that plays `role` in the domain of a place; `tool` is a command before
-/// it.
-fn peer(role: &str, place: &Place, tool: Option<Command>) -> Command {
-    let this = std::env::current_exe().unwrap();
-    let mut peer = tool.map_or_else(
-        || testkit::command(&this),
-        |mut tool| {
-            tool.arg(&this);
-            tool
-        },
-    );
-    peer.args([
-        "--exact",
-        "play_a_peer",
-        "--ignored",
-        "--nocapture",
-        "--test-threads=1",
-    ]);
-    peer.env("VPC_TEST_ROLE", role);
-    peer.env("VPC_TEST_DOMAIN", place.domain());
-    peer.stdout(Stdio::piped());
-    peer
-}
-
-/// Starts a peer and waits until it works.
-fn working(role: &str, place: &Place) -> Running {
-    let mut peer = Running::start(peer(role, place, None));
-    peer.line("working");
-    peer
-}
-
-#[test]
-#[ignore = "not a test: the other process of the tests that kill one"]
-fn play_a_peer() {
-    let role = std::env::var("VPC_TEST_ROLE").unwrap();
-    let directory = std::env::var("VPC_TEST_DOMAIN").unwrap();
-    killed::pass_the_harness();
-    let domain = Domain::join(Path::new(&directory)).unwrap();
-    let (role, is_once) = match role.strip_suffix(" once") {
-        Some(role) => (role, true),
-        None => (role.as_str(), false),
-    };
-    // Once: as if killed at its first turn.
-    let end = || is_once.then(|| kill_process(getpid(), Signal::KILL));
-    match role {
-        "camera" => {
-            let mut camera = CameraPorts::open(&domain).unwrap();
-            println!("working");
-            loop {
-                camera.features.publish(&square(0.0)).unwrap();
-                end();
-                std::thread::sleep(Duration::from_millis(1));
-            }
-        }
-        "echo" => {
-            let mut controller = ControllerPorts::open(&domain).unwrap();
-            println!("working");
-            loop {
-                if let Some(features) = controller.features.latest().unwrap() {
-                    let twist = TwistCommand::answer(&features, [0.0; 6], TwistState::Moving);
-                    controller.twist.publish(&twist).unwrap();
-                }
-                end();
-                std::thread::sleep(Duration::from_micros(50));
-            }
-        }
-        "images" => images::send(&domain),
-        "image echo" => images::echo(&domain),
-        other => panic!("no role {other}"),
-    }
-}
 
 #[test]
 fn every_message_goes_round() {
@@ -348,6 +270,7 @@ fn answered_by(echo: Running, place: &Place) -> CameraPorts {
 }
 
 #[test]
+#[ignore = "long: kills at random moments"]
 fn kills_during_start_up_do_no_harm_to_who_comes_next() {
     let place = Place::new();
     kill_at_start_up(&place, 1);
@@ -356,9 +279,9 @@ fn kills_during_start_up_do_no_harm_to_who_comes_next() {
 }
 
 #[test]
+#[ignore = "long: kills at random moments"]
 fn kills_during_start_up_beside_a_peer_do_no_harm() {
-    let rounds = testkit::repeats("kills during start-up beside a peer", 1, 60);
-    for seed in 0..rounds as u64 {
+    for seed in 0..BESIDE_A_PEER {
         let place = Place::new();
         let domain = Domain::join(&place.domain()).unwrap();
         let mut observer = Observer::open(&domain).unwrap();

@@ -4,13 +4,13 @@ use std::os::unix::fs::MetadataExt;
 use std::time::Duration;
 
 use ipc::{
-    ControllerPorts, Domain, ImagePorts, ImagePublisher, ImageSubscriber, LoanError, OpenError,
-    ReceiveError,
+    Domain, ImagePorts, ImagePublisher, ImageSubscriber, LoanError, OpenError, ReceiveError,
 };
-use messages::{Encoding, Features, ImageHeader, Order, TwistCommand, TwistState};
+use messages::{Encoding, ImageHeader, Order};
 use testkit::{Place, eventually};
 
-use crate::{STEADY_KILLS, prefix, working};
+use crate::peers::working;
+use crate::{STEADY_KILLS, prefix};
 
 /// Bytes of a grey image of this size.
 const BYTES: usize = 640 * 480;
@@ -31,32 +31,6 @@ fn send_one(publisher: &mut ImagePublisher, grey: u8) -> ipc::Sent {
     let mut image = publisher.loan(&header()).unwrap();
     image.fill(grey);
     publisher.publish(image).unwrap()
-}
-
-/// Plays a camera without end.
-pub fn send(domain: &Domain) {
-    let mut publisher = domain.image_publisher(BYTES).unwrap();
-    println!("working");
-    for grey in (0..=255).cycle() {
-        send_one(&mut publisher, grey);
-        std::thread::sleep(Duration::from_millis(1));
-    }
-}
-
-/// Answers images without end: the finder of features and the controller in one.
-pub fn echo(domain: &Domain) {
-    let mut images = domain.image_subscriber().unwrap();
-    let mut controller = ControllerPorts::open(domain).unwrap();
-    println!("working");
-    loop {
-        if let Some(image) = images.latest().unwrap() {
-            let mut features = Features::new(&[[1.0, 1.0]], 0);
-            features.stamp = image.header().stamp;
-            let twist = TwistCommand::answer(&features, [0.0; 6], TwistState::Moving);
-            controller.twist.publish(&twist).unwrap();
-        }
-        std::thread::sleep(Duration::from_micros(50));
-    }
 }
 
 /// The file that is mapped where these bytes are, and where in it they begin.
@@ -259,7 +233,7 @@ fn in_lockstep_who_finds_the_features_may_come_late() {
     assert_eq!(sent.receivers, 0);
     let patience = Duration::from_secs(10);
     assert_eq!(camera.wait_for_answer(&sent, Duration::ZERO).unwrap(), None);
-    let echo = working("image echo", &place);
+    let echo = working("image-echo", &place);
     for k in 1..20 {
         let sent = if k == 1 {
             sent

@@ -1,28 +1,14 @@
 //! Rendered tags, read by OpenCV's ArUco detector: numbers, order of corners, places.
 
-use std::fs::File;
 use std::path::Path;
 
 use markers::Family;
 use scene::{Pose, Scene};
-use testkit::python::{Environment, run, script};
+use testkit::python::{run, script};
 use testkit::{Place, root};
-use vision::{Image, Look, Renderer, Tag};
+use vision::{Look, Renderer, Tag};
 
-const OPENCV: Environment = Environment {
-    name: "python-opencv",
-    requirements: &[],
-    packages: &["numpy", "opencv-python-headless>=4.10,<6"],
-};
-
-fn write(path: &Path, image: &Image) {
-    let size = [image.width(), image.height()].map(|side| side as u32);
-    let mut encoder = png::Encoder::new(File::create(path).unwrap(), size[0], size[1]);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header().unwrap();
-    writer.write_image_data(image.pixels()).unwrap();
-}
+use super::{OPENCV, write};
 
 /// Where the camera sees a point of the plane z = 0, px.
 fn project(scene: &Scene, pose: &Pose, [x, y]: [f64; 2]) -> [f64; 2] {
@@ -92,7 +78,7 @@ fn reads(python: &Path, family: Family, first: usize) {
         translation: [0.002 * k as f64, 0.001 * k as f64, 0.3 + 0.01 * k as f64],
         rotation: [0.05 * k as f64, 0.2 - 0.06 * k as f64, 0.3 * k as f64],
     };
-    let mut command = script(python, &root().join("hw-sim/vision/tests/aruco.py"));
+    let mut command = script(python, &root().join("hw-sim/vision/tests/judges/aruco.py"));
     command.arg(family.name());
     let look = Look {
         family,

@@ -36,7 +36,10 @@ fn script(python: &Path, within: &str) -> Command {
 /// A script of the tree that finds the stand-ins for libraries.
 fn with_stand_ins(python: &Path, within: &str) -> Command {
     let mut command = script(python, within);
-    let paths = [sources("clients/python"), sources("tests/python/stand_ins")];
+    let paths = [
+        sources("clients/python"),
+        sources("tests/judges/python/stand_ins"),
+    ];
     command.env("PYTHONPATH", std::env::join_paths(paths).unwrap());
     command
 }
@@ -53,7 +56,7 @@ fn layout(lines: &mut String, message: &Struct) {
 }
 
 fn layouts_agree(python: &Path) {
-    let theirs = run(script(python, "tests/python/peer.py").arg("layout")).unwrap();
+    let theirs = run(script(python, "tests/judges/python/peer.py").arg("layout")).unwrap();
     let mut ours = String::new();
     for service in messages::SERVICES {
         let Qos {
@@ -119,7 +122,7 @@ fn safety_agrees(python: &Path) {
     let place = Place::new();
     std::fs::create_dir(place.domain()).unwrap();
     let mut stop_file = ipc::StopFile::open(&place.domain()).unwrap();
-    let mut peer = script(python, "tests/python/peer.py");
+    let mut peer = script(python, "tests/judges/python/peer.py");
     peer.arg("safety").arg(place.domain()).args(words);
     let peer = Running::start(peer.stdout(Stdio::piped()));
     eventually("a stop from Python", || stop_file.is_asked().then_some(()));
@@ -137,7 +140,7 @@ fn messages_go_both_ways(python: &Path) {
     let mut recorder = RecorderPort::open(&domain).unwrap();
     let mut observer = Observer::open(&domain).unwrap();
     let begun = ipc::now_ns();
-    let mut peer = script(python, "tests/python/peer.py");
+    let mut peer = script(python, "tests/judges/python/peer.py");
     peer.arg("exchange").arg(place.domain());
     let peer = Running::start(peer.stdout(Stdio::piped()));
 
@@ -336,7 +339,7 @@ fn the_camera_can_be_driven(python: &Path) {
 /// What is refused, and in which words; every port is free again after the end of its `with`.
 fn refusals_have_words(python: &Path) {
     let place = Place::new();
-    let mut peer = script(python, "tests/python/peer.py");
+    let mut peer = script(python, "tests/judges/python/peer.py");
     let said = run(peer.arg("refusals").arg(place.domain())).unwrap();
     let lines: Vec<&str> = said.lines().collect();
     let pairs = "allowed: pairs (u, v) of numbers, shape (N, 2)";
@@ -368,7 +371,7 @@ fn bad_messages_are_refused(python: &Path) {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
-    let mut peer = script(python, "tests/python/peer.py");
+    let mut peer = script(python, "tests/judges/python/peer.py");
     peer.arg("hears").arg(place.domain());
     let mut peer = Running::start(peer.stdout(Stdio::piped()));
     peer.line("listening");
@@ -397,7 +400,7 @@ fn images_go_both_ways(python: &Path) {
     let domain = Domain::join(&place.domain()).unwrap();
     let mut controller = ControllerPorts::open(&domain).unwrap();
     let mut subscriber = domain.image_subscriber().unwrap();
-    let mut peer = script(python, "tests/python/peer.py");
+    let mut peer = script(python, "tests/judges/python/peer.py");
     peer.arg("images").arg(place.domain());
     let mut peer = Running::start(peer.stdout(Stdio::piped()));
     let mut next = || eventually("an image", || subscriber.latest().unwrap());
@@ -537,7 +540,7 @@ fn the_logger_fills_tables(python: &Path, format: &str) {
 /// The camera's referee measures as hw-sim's does: the same numbers as in the unit tests there.
 fn the_referee_measures(python: &Path) {
     let place = Place::new();
-    let mut peer = script(python, "tests/python/peer.py");
+    let mut peer = script(python, "tests/judges/python/peer.py");
     let said = run(peer.arg("depths").arg(place.directory())).unwrap();
     let expected = [
         "16.0 75.0 0.0",
@@ -590,7 +593,7 @@ fn the_package_installs(python: &Path) {
     requires.arg("import importlib.metadata as m; print(m.requires('vpc-client')[0])");
     assert_eq!(run(&mut requires).unwrap().trim(), "iceoryx2==0.9.3");
 
-    let consumer = sources("tests/python/consumer.py");
+    let consumer = sources("tests/judges/python/consumer.py");
     let mypy = || {
         let mut mypy = in_python(&["-m", "mypy", "--strict", "--cache-dir=mypy"]);
         mypy.arg("--config-file").arg(tree.join("pyproject.toml"));

@@ -2,8 +2,7 @@
 //! no place taken, and the living one never waits for it. `strace` counts the calls, and kills.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{Read as _, Write as _};
+use std::io::Read as _;
 use std::process::Child;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -14,7 +13,7 @@ use messages::{Features, Message, TwistCommand, TwistState};
 use rustix::process::{Pid, Signal, kill_process};
 use testkit::{Place, are_installed, is_long, tell};
 
-use crate::{peer, square, working};
+use crate::peers::{peer, square, working};
 
 /// Every so many calls, unless all are asked for; prime, so that it meets all kinds of them.
 const STRIDE: usize = 13;
@@ -45,25 +44,16 @@ fn calls_of(role: &str, place: &Place) -> Vec<Call> {
     let domain = place.domain().display().to_string();
     let (mut numbers, mut found, mut is_inside) = (BTreeMap::new(), Vec::new(), false);
     let log = std::fs::read_to_string(log).unwrap();
-    // `strace` counts the calls of each thread by themselves. A number that the harness's own
-    // thread reaches too would end the peer there.
-    let plays = log.lines().find(|line| line.contains(&domain)).unwrap();
-    let (thread, mut harness) = (plays.split_once(' ').unwrap().0, BTreeMap::new());
     for line in log.lines() {
         // 1234 openat(AT_FDCWD, "/dev/null", O_RDONLY) = 3
-        let (of, call) = line.split_once(' ').unwrap();
+        let (_, call) = line.split_once(' ').unwrap();
         let Some((name, words)) = call.trim_start().split_once('(') else {
             continue;
         };
-        if of != thread {
-            *harness.entry(name).or_insert(0) += 1;
-            continue;
-        }
         let number = numbers.entry(name).or_insert(0);
         *number += 1;
         is_inside |= words.contains(&domain);
         if words.contains("working") {
-            found.retain(|call: &Call| harness.get(&*call.name).is_none_or(|of| call.number > *of));
             return found;
         }
         // Of the mappings only those of shared memory.
@@ -75,17 +65,6 @@ fn calls_of(role: &str, place: &Place) -> Vec<Call> {
         }
     }
     panic!("{role}: it never worked")
-}
-
-/// Makes some calls of the kinds that the harness makes in a thread of its own, so that those which
-/// follow have higher numbers than these.
-pub fn pass_the_harness() {
-    for _ in 0..32 {
-        let mut null = File::options().write(true).open("/dev/null").unwrap();
-        null.write_all(b"0").unwrap();
-        null.metadata().unwrap();
-        rustix::fs::stat("/dev/null").unwrap();
-    }
 }
 
 /// Starts a peer that is killed at this call, or when it works.

@@ -93,7 +93,7 @@ impl Rig {
 
     /// What judge.py says of the stand-in's log, for a camera that was to move so.
     fn judged(&self, twist: [f64; 6]) -> String {
-        let mut judge = with_stand_ins(&self.python, "tests/python/stand_ins/judge.py");
+        let mut judge = with_stand_ins(&self.python, "tests/judges/python/stand_ins/judge.py");
         judge.arg(self.place.path("log")).arg(hand_eye());
         run(judge.args(twist.map(|v| v.to_string()))).unwrap()
     }
@@ -296,7 +296,7 @@ fn robust(python: &Path) {
     let place = Place::new();
     let directory = place.path("pipe");
     std::fs::create_dir(&directory).unwrap();
-    let mut script = with_stand_ins(python, "tests/python/robust.py");
+    let mut script = with_stand_ins(python, "tests/judges/python/robust.py");
     let said = run(script.arg(directory)).unwrap();
     assert_eq!(said.matches("refused").count(), 3, "{said}");
     assert!(said.contains("robust robot_bridge"), "{said}");

@@ -1,22 +1,17 @@
 //! The camera client for OpenCV (`ipc/clients/python/opencv_camera.py`) on rendered frames: its
 //! points against the truth.
 
-use std::fs::File;
 use std::path::Path;
 
 use scene::{Pose, Scene};
-use testkit::python::{Environment, script};
+use testkit::python::script;
 use testkit::{Ended, Place, ended, root};
-use vision::{Image, Look, Renderer, truth};
+use vision::{Look, Renderer, truth};
+
+use super::{OPENCV, write};
 
 /// Frames of the video.
 const FRAMES: usize = 40;
-
-const OPENCV: Environment = Environment {
-    name: "python-opencv",
-    requirements: &[],
-    packages: &["numpy", "opencv-python-headless>=4.10,<6"],
-};
 
 /// The client on files, as far as it goes without shared memory.
 fn camera(python: &Path, scene: &Path, arguments: &[&str]) -> Ended {
@@ -24,15 +19,6 @@ fn camera(python: &Path, scene: &Path, arguments: &[&str]) -> Ended {
     let mut camera = script(python, &client);
     camera.arg("--scene").arg(scene).arg("--dry");
     ended(camera.args(arguments))
-}
-
-fn write(path: &Path, image: &Image) {
-    let size = [image.width(), image.height()].map(|side| side as u32);
-    let mut encoder = png::Encoder::new(File::create(path).unwrap(), size[0], size[1]);
-    encoder.set_color(png::ColorType::Grayscale);
-    encoder.set_depth(png::BitDepth::Eight);
-    let mut writer = encoder.write_header().unwrap();
-    writer.write_image_data(image.pixels()).unwrap();
 }
 
 /// The object beside the goal, down behind the grasped object until its lower tags are hidden, and
