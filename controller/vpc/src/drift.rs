@@ -303,7 +303,8 @@ impl Rows {
                 let missed = seen[c] - expected[c];
                 rows.normal += row * row.transpose();
                 rows.right += row * missed;
-                let _ = rows.each.push((row, missed));
+                let has_room = rows.each.push((row, missed)).is_ok();
+                debug_assert!(has_room, "more than {MAX_POINTS} points");
             }
         }
         rows

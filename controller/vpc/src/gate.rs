@@ -204,6 +204,7 @@ pub fn is_push(task: &Task, points: &Points, expected: &Points, most_px: f64) ->
 fn usual_px(points: &Points, expected: &Points) -> f64 {
     let away = sorted_distances(points, expected);
     let usual = away.get(points.len().saturating_sub(1) / 2);
+    debug_assert!(usual.is_some(), "fewer points expected than seen");
     usual.map_or(0.0, |(_, by_px)| *by_px)
 }
 

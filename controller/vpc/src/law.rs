@@ -659,6 +659,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             settings: &self.settings,
         };
         let solver = self.share.solver(&self.settings, self.workspace.as_mut());
+        debug_assert!(solver.is_some(), "a workspace that holds no solver");
         step.cost = solver.map_or(0.0, |mut solver| {
             policy.running_cost(&mut solver, &initial, &step.twist)
         });

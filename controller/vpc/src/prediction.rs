@@ -17,8 +17,6 @@
     reason = "a dense kernel: np, nc and the count of points are bounded where they are set"
 )]
 
-use core::ops::Range;
-
 use ::arm::Joints;
 use heapless::Vec;
 use libm::sqrt;
@@ -285,7 +283,9 @@ impl InitialState {
                 }
                 (Geometry::Depths(depths), Some(a), Some(b)) => {
                     let [u, v] = core::array::from_fn(|c| a[c] + share * (b[c] - a[c]));
-                    [u, v, depths.get(i).map_or(0.0, |&depth| task.radius(depth))]
+                    let depth = depths.get(i);
+                    debug_assert!(depth.is_some(), "point {i} has no depth");
+                    [u, v, depth.map_or(0.0, |&depth| task.radius(depth))]
                 }
                 _ => continue,
             };
@@ -471,19 +471,27 @@ impl<'w, const N: usize> Preview<'w, N> {
         DOF * j.min(Self::NC - 1)
     }
 
-    /// The previewed points of step `j` (0 is one sampling time ahead), px.
+    /// The previewed points of step `j` (0 to np - 1; 0 is one sampling time ahead), px.
     pub fn step(&self, j: usize) -> &[[f64; 2]] {
-        self.points.get(self.range(j)).unwrap_or(&[])
+        self.of_step(self.points, j)
     }
 
     /// The radii of their markers, px.
     pub fn radii(&self, j: usize) -> &[f64] {
-        self.radii.get(self.range(j)).unwrap_or(&[])
+        self.of_step(self.radii, j)
     }
 
-    /// Where the points of step `j` are in the arrays.
-    fn range(&self, j: usize) -> Range<usize> {
-        j * self.room..j * self.room + self.count
+    /// What one of the arrays holds of step `j`.
+    fn of_step<'a, T>(&self, array: &'a [T], j: usize) -> &'a [T] {
+        let from = j * self.room;
+        let found = array.get(from..from + self.count);
+        debug_assert!(found.is_some(), "step {j} of {}", self.np);
+        found.unwrap_or(&[])
+    }
+
+    /// What one of the arrays holds of each step.
+    fn by_step<'a, T>(&self, array: &'a [T]) -> impl Iterator<Item = &'a [T]> + use<'a, T, N> {
+        array.chunks_exact(self.room.max(1))
     }
 
     /// The previewed points of step `j` with their markers.
@@ -494,13 +502,14 @@ impl<'w, const N: usize> Preview<'w, N> {
 
     /// The previewed points of every step, with their derivatives, step by step.
     pub fn steps(&self) -> impl Iterator<Item = impl Iterator<Item = Previewed<'_, N>>> {
-        (0..self.np).map(|j| {
-            let gradients = self.gradients.get(self.range(j)).unwrap_or(&[]);
-            let growths = self.growths.get(self.range(j)).unwrap_or(&[]);
-            let derivatives = gradients.iter().zip(growths);
-            let points = self.places(j).zip(derivatives);
-            points.map(|(place, (gradient, growth))| Previewed {
-                place,
+        let places = self.by_step(self.points).zip(self.by_step(self.radii));
+        let derivatives = self.by_step(self.gradients).zip(self.by_step(self.growths));
+        places.zip(derivatives).map(|(places, derivatives)| {
+            let places = places.0.iter().zip(places.1);
+            let derivatives = derivatives.0.iter().zip(derivatives.1);
+            let points = places.zip(derivatives).take(self.count);
+            points.map(|((&pixel, &radius), (gradient, growth))| Previewed {
+                place: Place { pixel, radius },
                 gradient,
                 growth,
             })

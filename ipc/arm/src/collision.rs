@@ -98,12 +98,13 @@ impl Arm {
                     let velocity = part(0) + part(3).cross(&from_camera);
                     gradient[joint] = gap.normal.dot(&velocity);
                 }
-                // There is room: there are at most so many gaps.
-                let _ = rows.push(Row {
+                let row = Row {
                     pair: gap.pair,
                     left,
                     gradient,
-                });
+                };
+                let has_room = rows.push(row).is_ok();
+                debug_assert!(has_room, "more than {MAX_ROWS} rows");
             }
         }
         rows
@@ -136,7 +137,8 @@ impl Shapes {
             let place = place.unwrap_or(nearest.len());
             if is_near && place < NEAREST {
                 nearest.truncate(NEAREST - 1);
-                let _ = nearest.insert(place, gap);
+                let has_room = nearest.insert(place, gap).is_ok();
+                debug_assert!(has_room, "more than {NEAREST} pairs");
             }
         }
         nearest

@@ -193,13 +193,13 @@ impl Dampers {
         // Of each bound, what the elbow takes as it turns at 1 rad/s.
         let mut turns = heapless::Vec::<f64, MAX_BOUNDS>::new();
         let mut add = |gradient: [f64; 6], turn, most, cause| {
-            // There is room for all.
-            let _ = turns.push(turn);
-            let _ = bounds.push(Bound {
+            let bound = Bound {
                 gradient,
                 most,
                 cause,
-            });
+            };
+            let has_room = turns.push(turn).is_ok() && bounds.push(bound).is_ok();
+            debug_assert!(has_room, "more than {MAX_BOUNDS} bounds");
         };
         for k in 0..arm.chain.count() {
             let joint = &arm.limits.0[k];
