@@ -37,16 +37,15 @@ pub struct Environment {
 }
 
 impl Environment {
-    /// What the client in `ipc/clients/python`, its examples and its installation need.
-    pub const CLIENT: Self = Self {
-        name: "python-client",
-        requirements: &[
-            "ipc/clients/python/requirements.txt",
-            "ipc/clients/python/requirements-logger.txt",
-            "ipc/clients/python/requirements-parquet.txt",
-        ],
-        packages: &["hatchling>=1.25", "mypy>=2,<3", "pillow"],
+    /// What the judges need, pinned by hash: what does not conflict with it is in it.
+    pub const JUDGES: Self = Self {
+        name: "python-judges",
+        requirements: &["tests/tests/judges/requirements.txt"],
+        packages: &[],
     };
+
+    /// The same.
+    pub const CLIENT: Self = Self::JUDGES;
 
     /// The interpreter. `None`, after [`not_run`], where the machine has no Python 3.11 or no
     /// network.
