@@ -17,7 +17,7 @@ use crate::root;
 const WORKSPACES: [&str; 2] = [".", "ipc/clients"];
 
 /// Test executables that run cargo, which another user may not reach.
-const NEEDS_CARGO: [&str; 1] = ["layers"];
+const NEEDS_CARGO: [&str; 2] = ["documents", "layers"];
 
 /// Returns a command of cargo in a workspace.
 fn cargo(workspace: &str, arguments: &[&str]) -> Command {
@@ -48,8 +48,24 @@ fn in_both(arguments: &[&str]) -> anyhow::Result<()> {
 /// Format, lints, documentation, generated files, licences and sources of packages.
 pub fn strict() -> anyhow::Result<()> {
     in_both(&["fmt", "--all", "--check"])?;
-    let lints = ["clippy", "--workspace", "--all-targets", "--locked"];
-    in_both(&[&lints[..], &["--", "-D", "warnings"]].concat())?;
+    // Judges and measurements are no targets of `cargo test`, nor of `--all-targets`.
+    let apart = [
+        (".", &["judges", "measure"][..]),
+        ("ipc/clients", &["judges"]),
+    ];
+    for (workspace, targets) in apart {
+        let lint = |targets: &[&str]| {
+            let mut clippy = cargo(workspace, &["clippy", "--workspace", "--locked"]);
+            clippy.args(targets).args(["--", "-D", "warnings"]);
+            run(
+                &format!("cargo clippy {} in {workspace}", targets.join(" ")),
+                &mut clippy,
+            )
+        };
+        lint(&["--all-targets"])?;
+        let targets = targets.iter().flat_map(|target| ["--test", target]);
+        lint(&targets.collect::<Vec<_>>())?;
+    }
     // A user's own debug build does not optimize the law; its stack must do all the same.
     let plain = "profile.dev.package.vpc.opt-level=0";
     let stack = ["test", "--locked", "--test", "stack", "--config", plain];
