@@ -6,8 +6,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use ::vpc::{DOF, MAX_POINTS, Task};
 use memory_blob::{MemoryFile, OpenError, hex};
-use memory_builder::build::{self, Progress};
+use memory_builder::build;
 use memory_builder::memory;
+use memory_builder::progress::Progress;
 use memory_builder::settings::{BuildSettings, RegressionSettings};
 use numpy::{PyArray1, PyArray2};
 use pyo3::prelude::*;

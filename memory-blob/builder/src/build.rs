@@ -9,40 +9,21 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use scene::{Pose, Scene};
-use serde::{Deserialize, Serialize};
 use vpc::{MotionMemory, Task};
 
-use crate::foresight::{self, Need};
+use crate::foresight::{self, ForesightError, Need};
 use crate::mixture::Mixture;
+use crate::progress::Progress;
 use crate::settings::{BuildSettings, ForesightSettings};
 use crate::solution::Finder;
 use crate::start::{self, NoStart};
-use crate::store::{Store, Trajectory};
+use crate::store::Store;
 use crate::trajectory::{self, Trial};
 
 /// Failures to which the mixture is fitted: the latest ones.
 const REMEMBERED_FAILURES: usize = 400;
 /// Batches in a row without a success after which building is given up.
 const HOPELESS_BATCHES: usize = 20;
-
-/// The state of a building, from which it can go on: what a Ctrl-C leaves behind.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Progress {
-    /// Successful trajectories.
-    pub trajectories: Vec<Trajectory>,
-    /// Starts at which the paper's algorithms failed, as points of R^6; from some the planner found
-    /// a way. In builds for foresight, where a trajectory was needed.
-    pub failures: Vec<[f64; 6]>,
-    /// Why foresight needed each: how many times the best it paid without, infinitely many where it
-    /// failed. Empty in other builds.
-    pub paid: Vec<f64>,
-    /// Starts tried.
-    pub tried: u64,
-    /// Batches done; with the seed it fixes every random choice to come.
-    pub batches: u64,
-    /// Failed starts by cause: stuck, no solution, violation, time out.
-    pub causes: [u64; 4],
-}
 
 /// Why building ended without a memory.
 #[derive(Debug, thiserror::Error)]
@@ -56,12 +37,9 @@ pub enum BuildError {
     /// The scene gives no task.
     #[error("{0}")]
     Task(vpc::TaskError),
-    /// Foresight needs the joints of an arm, which a build does not have.
-    #[error("the scene has an arm; allowed with --foresight: scenes without one")]
-    Arm,
-    /// The scene gives no law for foresight.
-    #[error("--foresight: {0}")]
-    Law(vpc::SettingsError),
+    /// Foresight does not run in the scene.
+    #[error(transparent)]
+    Foresight(#[from] ForesightError),
     /// Nothing succeeds.
     #[error(
         "building: {tried} starts tried, {found} successful, none in the last {HOPELESS_BATCHES} batches; allowed: a \

@@ -5,11 +5,21 @@ use memory_blob::{Draft, WriteError};
 use scene::{Pose, Scene};
 use vpc::{DOF, Law, Measurement, MotionMemory, Settings, Strategy, Task};
 
-use crate::build::BuildError;
 use crate::memory;
 use crate::settings::ForesightSettings;
 use crate::store::{Store, Trajectory};
 use crate::trajectory::{self, Failure};
+
+/// Why foresight does not run in a scene.
+#[derive(Debug, thiserror::Error)]
+pub enum ForesightError {
+    /// Foresight needs the joints of an arm, which a build does not have.
+    #[error("the scene has an arm; allowed with --foresight: scenes without one")]
+    Arm,
+    /// The scene gives no law for foresight.
+    #[error("--foresight: {0}")]
+    Law(vpc::SettingsError),
+}
 
 /// A start as foresight runs from it.
 #[derive(Clone, Debug)]
@@ -74,13 +84,13 @@ pub fn asked(scene: &Scene, store: &Store) -> Result<Option<Draft>, WriteError> 
 /// Whether foresight runs in a scene.
 ///
 /// # Errors
-/// [`BuildError`] where it has an arm or gives no law.
-pub fn check(scene: &Scene) -> Result<(), BuildError> {
+/// [`ForesightError`] where it has an arm or gives no law.
+pub fn check(scene: &Scene) -> Result<(), ForesightError> {
     if scene.arm.is_some() {
-        return Err(BuildError::Arm);
+        return Err(ForesightError::Arm);
     }
     let law = Law::new(scene, settings(), |len| vec![0.0; len]);
-    law.map(drop).map_err(BuildError::Law)
+    law.map(drop).map_err(ForesightError::Law)
 }
 
 /// Those of a law as it is without a configuration.

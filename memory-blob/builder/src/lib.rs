@@ -5,8 +5,8 @@
 //! [`solution`]; starts that the controller leaves stuck go to [`planner`]. Or [`foresight`] runs
 //! from them, and says which trajectories it needs. [`store`] keeps samples and way points,
 //! [`subsample`] chooses those that [`regression`] is fitted to, and [`memory`] writes the file.
-//! [`state`] keeps an unfinished build. Decisions, promises and times stand in the crate's
-//! `README.md`.
+//! [`state`] keeps the [`progress`] of an unfinished build. Decisions, promises and times stand in
+//! the crate's `README.md`.
 
 pub mod build;
 pub mod clearance;
@@ -16,6 +16,7 @@ pub mod memory;
 pub mod mixture;
 pub mod paint;
 pub mod planner;
+pub mod progress;
 pub mod reach;
 pub mod regression;
 pub mod settings;

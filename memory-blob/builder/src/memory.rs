@@ -5,7 +5,7 @@ use scene::Scene;
 use serde_json::{Map, Value, json};
 use vpc::{DOF, Task};
 
-use crate::build::Progress;
+use crate::progress::Progress;
 use crate::regression::{self, FitSettings, NotPositiveDefinite};
 use crate::settings::BuildSettings;
 use crate::state::TOOL;

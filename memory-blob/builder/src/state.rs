@@ -14,7 +14,7 @@ use scene::SceneFiles;
 use serde_json::Value;
 use sha2::{Digest, Sha256};
 
-use crate::build::Progress;
+use crate::progress::Progress;
 use crate::settings::BuildSettings;
 
 /// Begin of the first line, before the digest.

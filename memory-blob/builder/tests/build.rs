@@ -6,9 +6,10 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use memory_blob::Contents;
-use memory_builder::build::{Progress, collect, is_enough};
+use memory_builder::build::{collect, is_enough};
 use memory_builder::foresight::Need;
 use memory_builder::memory;
+use memory_builder::progress::Progress;
 use memory_builder::settings::{BuildSettings, ForesightSettings};
 use memory_builder::state::BuildIdentity;
 use scene::{Pose, Scene, SceneFiles};

@@ -1,14 +1,20 @@
-//! Which crate may depend on which, read from `cargo metadata`.
+//! Which crate may depend on which, in both workspaces, read from `cargo metadata` and the lock files.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 
 use serde::Deserialize;
 use testkit::root;
+use toml::{Table, Value};
 
-/// Programs and libraries that open ports, the transport itself, and two that open none but are
-/// built from such: `xtask`, which reads the programs' settings, and `vpc-python`, which runs the
-/// emulator and the table. Every other crate does without the transport `ipc`.
-const OPEN_PORTS: [&str; 14] = [
+/// The two workspaces, from the root of the repository.
+pub const WORKSPACES: [&str; 2] = [".", "ipc/clients"];
+
+/// Programs and libraries that open ports, the transport itself, and three that open none but are
+/// built from such: `xtask` and `codegen`, which read the programs' settings, and `vpc-python`,
+/// which runs the emulator and the table. Every other crate does without the transport `ipc`.
+const OPEN_PORTS: [&str; 15] = [
+    "codegen",
     "controller",
     "hw-sim",
     "ipc",
@@ -46,10 +52,13 @@ struct Metadata {
 }
 
 #[derive(Deserialize)]
-struct Package {
+pub struct Package {
     name: String,
     manifest_path: String,
     dependencies: Vec<Dependency>,
+    /// One of [`WORKSPACES`].
+    #[serde(default)]
+    workspace: String,
 }
 
 #[derive(Deserialize)]
@@ -57,31 +66,24 @@ struct Dependency {
     name: String,
     /// `None` for an ordinary one, or `dev` or `build`.
     kind: Option<String>,
-    /// Of a crate of this workspace.
+    /// Of a crate of ours.
     path: Option<String>,
 }
 
-/// What cargo prints, of what is locked. On a new machine it downloads what no test is built from.
-fn cargo(arguments: &[&str]) -> Vec<u8> {
+/// What cargo prints in a workspace, of what is there: nothing is downloaded.
+fn cargo(workspace: &str, arguments: &[&str]) -> Vec<u8> {
     let mut cargo = testkit::command(env!("CARGO"));
-    cargo.args(arguments).arg("--locked");
-    let output = cargo.current_dir(root()).output().unwrap();
+    cargo.args(arguments).args(["--locked", "--offline"]);
+    let output = cargo.current_dir(root().join(workspace)).output().unwrap();
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "cargo {arguments:?}: {errors}");
     output.stdout
 }
 
-/// Everything that `name` is built from, at any depth, also packages of others.
+/// Everything that a crate of the root is built from, at any depth, also packages of others.
 fn below(name: &str) -> BTreeSet<String> {
-    let tree = cargo(&[
-        "tree",
-        "-p",
-        name,
-        "-e",
-        "normal,build",
-        "--prefix=none",
-        "--format={p}",
-    ]);
+    let kinds = ["-e", "normal,build", "--prefix=none", "--format={p}"];
+    let tree = cargo(".", &[&["tree", "-p", name], &kinds[..]].concat());
     let tree = String::from_utf8(tree).unwrap();
     let first = |line: &str| line.split(' ').next().unwrap().to_owned();
     let below: BTreeSet<String> = tree.lines().map(first).collect();
@@ -91,7 +93,7 @@ fn below(name: &str) -> BTreeSet<String> {
 
 impl Package {
     /// The folder of the crate, from the repository's root.
-    fn folder(&self) -> &str {
+    pub fn folder(&self) -> &str {
         let within = self.manifest_path.strip_prefix(root().to_str().unwrap());
         within
             .unwrap()
@@ -111,21 +113,44 @@ impl Package {
     }
 }
 
-struct Workspace(BTreeMap<String, Package>);
+/// The crates of both workspaces, by name.
+pub struct Crates(BTreeMap<String, Package>);
 
-impl Workspace {
-    fn read() -> Self {
-        let metadata = cargo(&["metadata", "--no-deps", "--format-version", "1"]);
-        let metadata: Metadata = serde_json::from_slice(&metadata).unwrap();
-        let packages = metadata.packages.into_iter();
+impl Crates {
+    pub fn read() -> Self {
+        let packages = WORKSPACES.iter().flat_map(|workspace| {
+            let said = cargo(
+                workspace,
+                &["metadata", "--no-deps", "--format-version", "1"],
+            );
+            let metadata: Metadata = serde_json::from_slice(&said).unwrap();
+            metadata.packages.into_iter().map(|package| Package {
+                workspace: (*workspace).to_owned(),
+                ..package
+            })
+        });
         Self(packages.map(|it| (it.name.clone(), it)).collect())
+    }
+
+    /// The crate of this name.
+    pub fn get(&self, name: &str) -> Option<&Package> {
+        self.0.get(name)
     }
 
     /// Pairs of crates (user, used), of what is built, that `is_wrong` objects to.
     fn faults(&self, is_wrong: impl Fn(&Package, &Package) -> bool) -> Vec<String> {
+        self.pairs(Package::production, is_wrong)
+    }
+
+    /// The same, of these dependencies.
+    fn pairs<'a, D: Iterator<Item = &'a Dependency>>(
+        &'a self,
+        dependencies: impl Fn(&'a Package) -> D,
+        is_wrong: impl Fn(&Package, &Package) -> bool,
+    ) -> Vec<String> {
         let mut faults = Vec::new();
         for user in self.0.values() {
-            for dependency in user.production().filter(|it| it.path.is_some()) {
+            for dependency in dependencies(user).filter(|it| it.path.is_some()) {
                 let used = &self.0[&dependency.name];
                 if is_wrong(user, used) {
                     faults.push(format!("{} uses {}", user.folder(), used.folder()));
@@ -134,19 +159,29 @@ impl Workspace {
         }
         faults
     }
+
+    /// The crates of ours that `name` is built from, at any depth, with itself.
+    fn below<'a>(&'a self, name: &'a str) -> BTreeSet<&'a str> {
+        let (mut below, mut new) = (BTreeSet::from([name]), vec![name]);
+        while let Some(one) = new.pop() {
+            let used = self.0[one].production().filter(|it| it.path.is_some());
+            let used = used.map(|it| it.name.as_str());
+            new.extend(used.filter(|used| below.insert(*used)));
+        }
+        below
+    }
 }
 
 #[test]
 fn the_ground_imports_nothing_above_it() {
-    let faults =
-        Workspace::read().faults(|user, used| user.room() == "ipc" && used.room() != "ipc");
+    let faults = Crates::read().faults(|user, used| user.room() == "ipc" && used.room() != "ipc");
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
 #[test]
 fn the_contract_knows_no_client() {
     let clients = "ipc/clients/";
-    let faults = Workspace::read().faults(|user, used| {
+    let faults = Crates::read().faults(|user, used| {
         let is_ground = user.room() == "ipc" && !user.folder().starts_with(clients);
         is_ground && used.folder().starts_with(clients)
     });
@@ -158,7 +193,7 @@ const ABOVE_ALL: &str = "vpc-python";
 
 #[test]
 fn nothing_but_tests_builds_on_the_daemon_the_emulator_or_tests() {
-    let faults = Workspace::read().faults(|user, used| {
+    let faults = Crates::read().faults(|user, used| {
         let is_top = used.name == "controller" || ["hw-sim", "tests"].contains(&used.room());
         let is_within = user.room() == "hw-sim" && used.room() == "hw-sim";
         let may_use = user.room() == "tests" || user.name == ABOVE_ALL;
@@ -185,22 +220,96 @@ fn the_emulator_shares_nothing_with_the_law() {
 
 #[test]
 fn only_programs_that_open_ports_know_the_transport() {
-    let workspace = Workspace::read();
-    let users = workspace
-        .0
-        .keys()
-        .filter(|name| below(name).contains("ipc"));
+    let crates = Crates::read();
+    let users = crates.0.keys();
+    let users = users.filter(|name| crates.below(name).contains("ipc"));
     let others: Vec<_> = users
         .filter(|name| !OPEN_PORTS.contains(&name.as_str()))
         .collect();
     assert!(others.is_empty(), "{others:?} are built from ipc");
-    let transports = workspace.0.values().filter(|package| {
+    let transports = crates.0.values().filter(|package| {
         package
             .production()
             .any(|dependency| dependency.name == "iceoryx2")
     });
     let names: Vec<_> = transports.map(|package| package.name.as_str()).collect();
     assert_eq!(names, ["ipc"], "iceoryx2");
+}
+
+#[test]
+fn the_root_needs_no_client() {
+    let crates = Crates::read();
+    let all = |package: &'_ Package| package.workspace == WORKSPACES[0];
+    let faults = crates.pairs(
+        |package| package.dependencies.iter(),
+        |user, used| all(user) && !all(used),
+    );
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    let root = crates.0.values().filter(|package| all(package)).count();
+    assert!(root > 20 && crates.0.len() - root >= 8, "{root}");
+}
+
+fn table(path: &str) -> Table {
+    let text = fs::read_to_string(root().join(path)).unwrap();
+    text.parse()
+        .unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// What both workspaces depend on is built once.
+#[test]
+fn both_workspaces_ask_for_the_same_versions() {
+    let asked = WORKSPACES.map(|workspace| {
+        let manifest = table(&format!("{workspace}/Cargo.toml"));
+        let asked = manifest["workspace"]["dependencies"].as_table().unwrap();
+        let version = |value: &Value| match value {
+            Value::String(version) => Some(version.clone()),
+            other => Some(other.get("version")?.as_str()?.to_owned()),
+        };
+        let asked = asked.iter();
+        let asked = asked.filter_map(|(name, value)| Some((name.clone(), version(value)?)));
+        asked.collect::<BTreeMap<_, _>>()
+    });
+    let both = asked[0].keys().filter(|name| asked[1].contains_key(*name));
+    let both: Vec<_> = both.collect();
+    assert!(both.len() > 20, "{both:?}");
+    for name in both {
+        assert_eq!(asked[0][name], asked[1][name], "{name} in both Cargo.toml");
+    }
+}
+
+#[test]
+fn both_workspaces_lock_the_same_versions() {
+    // Only one of those that are compatible with each other is built.
+    let kind = |version: &str| {
+        let numbers: Vec<_> = version.split('.').collect();
+        match numbers[..] {
+            ["0", "0", patch] => format!("0.0.{patch}"),
+            ["0", minor, ..] => format!("0.{minor}"),
+            [major, ..] => major.to_owned(),
+            [] => String::new(),
+        }
+    };
+    let locked = WORKSPACES.map(|workspace| {
+        let lock = table(&format!("{workspace}/Cargo.lock"));
+        let packages = lock["package"].as_array().unwrap().iter();
+        let packages = packages.filter(|package| package.get("source").is_some());
+        let packages = packages.map(|package| {
+            let [name, version] = ["name", "version"].map(|key| package[key].as_str().unwrap());
+            ((name.to_owned(), kind(version)), version.to_owned())
+        });
+        packages.collect::<BTreeMap<_, _>>()
+    });
+    let mut faults = Vec::new();
+    for ((name, kind), version) in &locked[0] {
+        let other = locked[1].get(&(name.clone(), kind.clone()));
+        if let Some(other) = other.filter(|other| *other != version) {
+            faults.push(format!(
+                "cargo update -p {name}@{other} --precise {version}"
+            ));
+        }
+    }
+    assert!(locked[0].len() > 200, "{}", locked[0].len());
+    assert!(faults.is_empty(), "in ipc/clients:\n{}", faults.join("\n"));
 }
 
 #[test]
@@ -217,8 +326,8 @@ fn the_decision_has_no_port_file_or_clock() {
 
 #[test]
 fn architecture_md_maps_every_crate() {
-    let page = std::fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
-    let packages = Workspace::read().0;
+    let page = fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap();
+    let packages = Crates::read().0;
     let folders = packages.values().map(Package::folder);
     let lacking: Vec<_> = folders
         .filter(|it| !page.contains(&format!("`{it}/`")))
