@@ -106,4 +106,32 @@ mod tests {
         assert_eq!(grid.advance(20_000), 1);
         assert_eq!(grid.next_ns(), 30_000);
     }
+
+    /// Only too early an end is wrong: a busy machine wakes it late.
+    #[test]
+    #[allow(unsafe_code)]
+    fn a_signal_does_not_end_a_sleep() {
+        use std::os::unix::thread::JoinHandleExt;
+        use std::sync::Arc;
+        use std::sync::atomic::{AtomicBool, Ordering};
+        use std::time::Duration;
+
+        let seen = Arc::new(AtomicBool::new(false));
+        program::set_on(libc::SIGURG, &seen).unwrap();
+        let (sender, begun) = std::sync::mpsc::channel();
+        let sleep = std::thread::spawn(move || {
+            let deadline_ns = ipc::now_ns() + 200_000_000;
+            sender.send(()).unwrap();
+            sleep_until(deadline_ns);
+            ipc::now_ns() >= deadline_ns
+        });
+        begun.recv().unwrap();
+        while !sleep.is_finished() {
+            // SAFETY: the thread was not joined yet.
+            let sent = unsafe { libc::pthread_kill(sleep.as_pthread_t(), libc::SIGURG) };
+            assert!(sent == 0 || sleep.is_finished());
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        assert!(sleep.join().unwrap() && seen.load(Ordering::Relaxed));
+    }
 }

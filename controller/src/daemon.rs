@@ -4,7 +4,7 @@ use std::ffi::OsString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::process::ExitCode;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Parser;
 use ipc::{Asked, ControllerPorts, Domain, StopFile};
@@ -230,6 +230,7 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32)>, Failure> {
             progress.clone(),
             stop.clone(),
             again.clone(),
+            Instant::now(),
         ),
         reload: Reload::new(hangup, stop.clone(), again.clone()),
         arm: loaded.scene().arm.clone(),

@@ -49,6 +49,11 @@ struct Check {
 pub struct Again(Arc<AtomicBool>);
 
 impl Again {
+    /// Asks for it.
+    pub(crate) fn ask(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
     /// Whether it is to begin again.
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::Relaxed)
@@ -86,7 +91,7 @@ impl Reload {
             Ok(false) => return,
             Ok(true) => {
                 info!("SIGHUP: begins again with the files as they are now, disarmed");
-                self.again.0.store(true, Ordering::Relaxed);
+                self.again.ask();
                 self.stop.ask();
             }
             Err(why) => error!("SIGHUP: goes on with what it has read before: {why}"),

@@ -255,22 +255,25 @@ impl Default for Notifier {
             Progress::default(),
             Stop::default(),
             Again::default(),
+            Instant::now(),
         )
     }
 }
 
 impl Notifier {
-    /// A notifier for a loop of this period that counts in `progress` and ends by `stop`.
+    /// A notifier for a loop of this period that begins `now`, counts in `progress` and ends by
+    /// `stop`.
     pub fn new(
         service: Service,
         period: Duration,
         progress: Progress,
         stop: Stop,
         again: Again,
+        now: Instant,
     ) -> Self {
         Self {
             line: service.line,
-            schedule: Schedule::new(service.watchdog, Instant::now()),
+            schedule: Schedule::new(service.watchdog, now),
             longest_standstill: STILL.max(LEAST_PERIODS * period),
             is_still: false,
             is_cut: false,
@@ -282,19 +285,18 @@ impl Notifier {
 
     /// One look at the loop, every few milliseconds; says what is due. `status` is asked once a
     /// second.
-    pub fn tend(&mut self, status: impl FnOnce() -> String) {
-        self.say_due(status, self.stop.is_asked());
-        self.log_standstill();
+    pub fn tend(&mut self, now: Instant, status: impl FnOnce() -> String) {
+        self.say_due(now, status, self.stop.is_asked());
+        self.log_standstill(now);
     }
 
     /// The last status, after the loop has ended for whatever reason.
-    pub fn end(&mut self, status: impl FnOnce() -> String) {
+    pub fn end(&mut self, now: Instant, status: impl FnOnce() -> String) {
         self.schedule.told = None;
-        self.say_due(status, true);
+        self.say_due(now, status, true);
     }
 
-    fn say_due(&mut self, status: impl FnOnce() -> String, stop: bool) {
-        let now = Instant::now();
+    fn say_due(&mut self, now: Instant, status: impl FnOnce() -> String, stop: bool) {
         let due = self.schedule.look(now, self.progress.count(), stop);
         let Some(line) = &self.line else {
             return;
@@ -338,10 +340,8 @@ impl Notifier {
         }
     }
 
-    fn log_standstill(&mut self) {
-        let still = self
-            .schedule
-            .standstill(Instant::now(), self.longest_standstill);
+    fn log_standstill(&mut self, now: Instant) {
+        let still = self.schedule.standstill(now, self.longest_standstill);
         if still.is_some() != self.is_still {
             self.is_still = still.is_some();
             let cycle = self.schedule.count;
@@ -357,134 +357,4 @@ impl Notifier {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const PERIOD: Duration = Duration::from_millis(33);
-
-    fn parse(variables: &[(&str, &str)]) -> Result<Service, ServiceError> {
-        let variable = |name: &str| {
-            let found = variables.iter().find(|(key, _)| *key == name)?;
-            Some(OsString::from(found.1))
-        };
-        Service::parse(variable, 7, PERIOD)
-    }
-
-    #[test]
-    fn without_a_manager_notifications_do_nothing() {
-        let service = parse(&[("WATCHDOG_USEC", "1000000")]).unwrap();
-        assert!(service.line.is_none() && service.watchdog.is_none());
-    }
-
-    #[test]
-    fn the_watchdog_of_another_process_is_not_fed() {
-        let of = |pid| {
-            let base = [("NOTIFY_SOCKET", "@vpc"), ("WATCHDOG_USEC", "2000000")];
-            let service = parse(&[base[0], base[1], ("WATCHDOG_PID", pid)]).unwrap();
-            service.watchdog
-        };
-        assert_eq!(of("7"), Some(Duration::from_secs(2)));
-        assert_eq!(of("8"), None);
-    }
-
-    #[test]
-    fn a_malformed_variable_is_named_with_what_is_allowed() {
-        let socket = ("NOTIFY_SOCKET", "/run/notify");
-        let long = format!("/{}", "x".repeat(200));
-        for (variables, words) in [
-            (
-                vec![("NOTIFY_SOCKET", "run/notify")],
-                "NOTIFY_SOCKET = run/notify; allowed: an absolute",
-            ),
-            (
-                vec![("NOTIFY_SOCKET", "")],
-                "NOTIFY_SOCKET = ; allowed: an absolute",
-            ),
-            (
-                vec![("NOTIFY_SOCKET", "vsock:2:1")],
-                "NOTIFY_SOCKET = vsock:2:1; allowed",
-            ),
-            (vec![("NOTIFY_SOCKET", &*long)], "at most 107 bytes"),
-            (
-                vec![socket, ("WATCHDOG_USEC", "2s")],
-                "WATCHDOG_USEC = 2s; allowed: a whole number",
-            ),
-            (
-                vec![socket, ("WATCHDOG_USEC", "0")],
-                "WATCHDOG_USEC = 0; allowed",
-            ),
-            (
-                vec![socket, ("WATCHDOG_USEC", "-5")],
-                "WATCHDOG_USEC = -5; allowed",
-            ),
-            (
-                vec![("WATCHDOG_PID", "me")],
-                "WATCHDOG_PID = me; allowed: a whole number",
-            ),
-            (
-                vec![socket, ("WATCHDOG_USEC", "131999")],
-                "WATCHDOG_USEC = 131999; allowed: 132000 on",
-            ),
-        ] {
-            let message = parse(&variables).unwrap_err().to_string();
-            assert!(message.contains(words), "{message}\nlacks {words}");
-        }
-    }
-
-    #[test]
-    fn ready_is_said_once_and_not_before_the_loop_has_moved() {
-        let start = Instant::now();
-        let mut schedule = Schedule::new(None, start);
-        assert!(!schedule.look(start, 0, false).ready);
-        let due = schedule.look(start + PERIOD, 1, false);
-        assert!(due.ready && !due.watchdog);
-        schedule.done(start + PERIOD, due);
-        assert!(!schedule.look(start + 2 * PERIOD, 2, false).ready);
-    }
-
-    #[test]
-    fn what_did_not_reach_the_manager_is_said_again() {
-        let start = Instant::now();
-        let mut schedule = Schedule::new(None, start);
-        assert!(schedule.look(start, 1, true).ready);
-        let due = schedule.look(start + PERIOD, 2, true);
-        assert!(due.ready && due.stopping && due.status);
-    }
-
-    #[test]
-    fn a_loop_that_stands_still_is_never_fed_for() {
-        let start = Instant::now();
-        let interval = Duration::from_secs(2);
-        let mut schedule = Schedule::new(Some(interval), start);
-        let mut fed = Vec::new();
-        let mut now = start;
-        // Looks every 5 ms; the loop counts to 60, one each 33 ms, and hangs at 1.98 s.
-        for look in 0..2000_u32 {
-            now = start + look * Duration::from_millis(5);
-            let due = schedule.look(now, u64::from(look * 5 / 33).min(60), false);
-            if due.watchdog {
-                fed.push(now - start);
-            }
-            schedule.done(now, due);
-        }
-        let hang = 60 * PERIOD;
-        assert!(
-            fed.iter().all(|at| *at <= hang + Duration::from_millis(5)),
-            "{fed:?}"
-        );
-        let widest = fed.windows(2).map(|pair| pair[1] - pair[0]).max();
-        assert!(fed.len() == 4 && widest <= Some(interval / 2), "{fed:?}");
-        assert_eq!(
-            schedule.standstill(now, STILL).map(|still| still.as_secs()),
-            Some(8)
-        );
-    }
-
-    #[test]
-    fn a_status_is_one_line() {
-        assert_eq!(
-            one_line("v.toml:\n  | np = x\nWATCHDOG=1"),
-            "v.toml: | np = x WATCHDOG=1"
-        );
-    }
-}
+mod tests;

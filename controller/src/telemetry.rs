@@ -97,12 +97,12 @@ impl Telemetry {
             self.flight.tend(is_requested, Instant::now());
             if is_last {
                 self.flight.end();
-                self.notifier.end(|| summary.status());
+                self.notifier.end(Instant::now(), || summary.status());
                 return summary;
             }
             log_refused_requests(&mut port);
             self.reload.tend();
-            self.notifier.tend(|| summary.status());
+            self.notifier.tend(Instant::now(), || summary.status());
             std::thread::sleep(PAUSE);
         }
     }

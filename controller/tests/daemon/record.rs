@@ -188,26 +188,6 @@ fn every_cause_of_a_flight_record_leaves_one_that_replays() {
 }
 
 #[test]
-fn the_oldest_records_fall_out_of_memory_and_directory() {
-    // A tenth of a minute is 180 cycles.
-    let mut bench = Bench::new("minutes = 0.1\nkeep = 2");
-    for k in 1..=3 {
-        for _ in 0..150 {
-            bench.show(|_| ());
-        }
-        assert_eq!(bench.ask(&Request::new(k, Action::Record)), Outcome::Done);
-        let last = eventually("the record", || {
-            let newest = bench.files().last().cloned()?;
-            let told = report(&newest);
-            (told["report"]["last"] == 150 * k).then_some(told)
-        });
-        assert!(last["records"].as_u64().unwrap() <= 180);
-    }
-    assert_eq!(bench.files().len(), 2);
-    bench.end();
-}
-
-#[test]
 fn replay_exits_with_1_on_a_difference_and_names_bad_files() {
     let mut bench = Bench::new("");
     for _ in 0..40 {

@@ -1,14 +1,10 @@
-//! The daemon under a service manager: what it says to it, what the units promise, and a real
-//! systemd in a namespace. This executable does not link iceoryx2: it meets the daemon as a
-//! process.
+//! The daemon under a service manager: what it says to it, its signals, and the files that are
+//! installed. This executable does not link iceoryx2: it meets the daemon as a process. The target
+//! `judges` has a real systemd.
 
-mod arms;
 mod fixture;
-mod instance;
-mod machine;
-mod namespace;
+mod frozen;
 mod notify;
-mod package;
 mod permission;
 mod reload;
 mod signal;

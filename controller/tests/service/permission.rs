@@ -1,60 +1,9 @@
-//! No other user may read what travels, or command.
+//! No other user may read what travels, or command: by the modes of files. That the kernel then
+//! refuses another user, the target `judges` shows as root.
 
 use std::os::unix::fs::PermissionsExt;
-use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
-use std::process::Stdio;
 
-use crate::fixture::{Manager, Place, ended, is_root, scene_file};
-
-/// The user `nobody`.
-const NOBODY: u32 = 65534;
-
-/// Opens the file for reading as `nobody`.
-fn can_read(path: &Path) -> bool {
-    run(path, "exec 3<\"$0\"")
-}
-
-/// Opens it for writing, or creates a file in the directory.
-fn can_write(path: &Path) -> bool {
-    match path.is_dir() {
-        true => run(&path.join("intruder"), "exec 3>\"$0\""),
-        false => run(path, "exec 3>>\"$0\""),
-    }
-}
-
-fn run(path: &Path, script: &str) -> bool {
-    let mut command = testkit::command("/bin/sh");
-    command
-        .arg("-c")
-        .arg(script)
-        .arg(path)
-        .uid(NOBODY)
-        .gid(NOBODY);
-    command.output().unwrap().status.success()
-}
-
-/// The daemon's directory with all that is in it, and the shared memory that it maps.
-fn files(domain: &Path, pid: u32) -> Vec<PathBuf> {
-    let mut found = vec![domain.to_owned()];
-    let mut looked = 0;
-    while let Some(path) = found.get(looked).cloned() {
-        looked += 1;
-        if path.is_dir() {
-            let entries = std::fs::read_dir(path).unwrap();
-            found.extend(entries.map(|entry| entry.unwrap().path()));
-        }
-    }
-    let maps = std::fs::read_to_string(format!("/proc/{pid}/maps")).unwrap();
-    let mut shared: Vec<_> = maps
-        .lines()
-        .filter_map(|line| Some(PathBuf::from(&line[line.find("/dev/shm/vpc_")?..])))
-        .collect();
-    shared.dedup();
-    assert!(shared.len() >= 4, "four services at least: {maps}");
-    found.extend(shared);
-    found
-}
+use crate::fixture::{Manager, Place, files};
 
 #[test]
 fn directory_and_shared_memory_are_their_owners_alone() {
@@ -62,40 +11,16 @@ fn directory_and_shared_memory_are_their_owners_alone() {
     let manager = Manager::new(&place);
     let daemon = manager.manage(place.vpcd(), None);
     manager.until("READY=1");
-    let files = files(&place.domain(), daemon.id());
-    for path in &files {
-        let mode = std::fs::symlink_metadata(path)
+    for path in files(&place.domain(), daemon.id()) {
+        let mode = std::fs::symlink_metadata(&path)
             .unwrap()
             .permissions()
             .mode();
         // Below the directory, which is closed to the group, iceoryx2 has directories of mode 750.
-        let is_below = path.starts_with(place.domain()) && *path != place.domain();
+        let is_below = path.starts_with(place.domain()) && path != place.domain();
         let closed = if is_below { 0o007 } else { 0o077 };
         assert_eq!(mode & closed, 0, "{}: {mode:o}", path.display());
     }
-    if !is_root("reading and commanding as another user") {
-        return;
-    }
-    // The probe itself can succeed.
-    let open = place.file("open", "");
-    std::fs::set_permissions(&open, std::fs::Permissions::from_mode(0o666)).unwrap();
-    assert!(can_read(&open) && can_write(&open));
-    for path in &files {
-        assert!(!can_read(path), "{} is read by nobody", path.display());
-        assert!(!can_write(path), "{} is written by nobody", path.display());
-    }
-    // Nor by the door: a daemon of another user is refused. It runs a copy: a checkout below a home
-    // directory of mode 700 is closed to it.
-    let program = place.path("vpcd");
-    std::fs::copy(env!("CARGO_BIN_EXE_vpcd"), &program).unwrap();
-    let scene = place.file("scene.toml", std::fs::read_to_string(scene_file()).unwrap());
-    let mut intruder = testkit::command(program);
-    intruder.arg("--scene").arg(scene).arg("--domain");
-    intruder.arg(place.domain()).uid(NOBODY).gid(NOBODY);
-    intruder.stderr(Stdio::piped());
-    let (code, message) = ended(intruder);
-    assert_eq!(code, 69, "{message}");
-    assert!(message.contains("domain"), "{message}");
     let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");
 }

@@ -116,7 +116,7 @@ impl Machine {
         let mut boot = testkit::command("/bin/sh")
             .args(["-c", script, "boot"])
             .args([&stage.0, &cgroup.0])
-            .arg(root().join("controller/tests/service/boot.sh"))
+            .arg(root().join("controller/tests/judges/boot.sh"))
             .stdin(Stdio::null())
             .stdout(Stdio::null())
             .stderr(fs::File::create(place.path("console")).unwrap())

@@ -111,7 +111,6 @@ fn in_path(program: &str) -> Option<PathBuf> {
 }
 
 #[test]
-#[ignore = "half a minute: CI runs it in a line of its own"]
 fn a_debian_installs_starts_upgrades_removes_and_purges_it() {
     let Some(package) = Package::build("the package") else {
         return;
