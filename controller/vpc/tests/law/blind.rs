@@ -6,7 +6,7 @@ use rand_distr::{Distribution, Normal};
 use scene::Pose;
 use vpc::{Law, Measurement, Refusal, Settings, Strategy, constraint};
 
-use crate::world::{INSTANTS, Own, World};
+use crate::world::{INSTANTS, Own, World, is_long, taken};
 
 const NOISE_PX: f64 = 0.3;
 /// Frames from an exposure to the command that answers it.
@@ -125,9 +125,12 @@ fn blackout(index: usize, seen: u32) -> impl Fn(usize) -> u32 {
 
 #[test]
 fn half_a_second_without_points_is_bridged() {
-    let mut refused = 0;
+    let (mut refused, starts) = (0, starts());
+    // From the last of these few, half a second without any point is too long.
+    let numbers = taken(&[0, 20], 0..starts.len());
     for seen in [0, 0b0001, 0b0101] {
-        for (index, start) in starts().iter().enumerate() {
+        for &index in &numbers {
+            let start = &starts[index];
             let run = run((index, start), REST, settings(), blackout(index, seen));
             // Without any point, near the pattern, the images from 0.4 s on may be too uncertain.
             let is_late = |refusal: &Refusal| {
@@ -143,16 +146,22 @@ fn half_a_second_without_points_is_bridged() {
             assert!(run.deepest_px < 3.0, "{index}: {}", run.deepest_px);
         }
     }
-    assert!(refused <= 4, "{refused} of 90");
+    assert!(refused <= if is_long() { 4 } else { 1 }, "{refused}");
 }
 
-/// Runs of each kind; with `VPC_LONG=1` 10,000 in all.
-fn runs() -> usize {
-    std::env::var_os("VPC_LONG").map_or(21, |_| 2_000)
-}
-
+/// What is believed does not depend on the strategy; the one without foresight takes a fiftieth of
+/// the time.
 #[test]
 fn points_are_where_they_are_believed_as_often_as_told() {
+    let (strategy, runs) = if is_long() {
+        (Strategy::Foresight, 2_000)
+    } else {
+        (Strategy::Previous, 30)
+    };
+    let settings = Settings {
+        strategy,
+        ..settings()
+    };
     let moving: Own = |_| [0.05, 0.0, 0.0, 0.0, 0.0, 0.1];
     for (own, seen) in [
         (REST, 0),
@@ -163,8 +172,8 @@ fn points_are_where_they_are_believed_as_often_as_told() {
     ] {
         let (mut within, mut count, mut squares) = ([0; 2], 0, 0.0);
         let starts = starts();
-        for (index, start) in starts.iter().cycle().take(runs()).enumerate() {
-            for belief in run((index, start), own, settings(), blackout(index, seen)).beliefs {
+        for (index, start) in starts.iter().cycle().take(runs).enumerate() {
+            for belief in run((index, start), own, settings, blackout(index, seen)).beliefs {
                 let share = belief.error_px / belief.deviation_px;
                 for (count, most) in within.iter_mut().zip([2.0, 3.0]) {
                     *count += usize::from(share < most);

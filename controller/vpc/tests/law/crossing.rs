@@ -8,7 +8,7 @@ use scene::{Pose, Scene};
 use vpc::obstacle::Obstacle;
 use vpc::{Law, Measurement, Refusal, Settings, Strategy};
 
-use crate::world::{INSTANTS, World};
+use crate::world::{INSTANTS, World, taken};
 
 const NOISE_PX: f64 = 0.3;
 /// Frames from an exposure to the command that answers it.
@@ -47,20 +47,21 @@ struct Run {
     refusals: Vec<Refusal>,
 }
 
-/// Runs until the arrival, for eight seconds at most.
-fn run(scene: &Scene, seed: u64, start: &Pose, settings: Settings) -> Run {
+/// Runs until the arrival, for so many seconds at most.
+fn run(scene: &Scene, number: usize, settings: Settings, seconds: f64) -> Run {
+    let start = &starts()[number];
     let mut world = World::of(scene.clone(), start);
     let period = scene.sampling_time();
     let mut law = Law::new(scene, settings, |len| vec![0.0; len]).unwrap();
     law.go_live(100_000_000);
     let task = law.task().clone();
     let hidden = |pixel| task.obstacles().any(|each: Obstacle| each.hides(pixel));
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut random = ChaCha8Rng::seed_from_u64(number as u64);
     let noise = Normal::new(0.0, NOISE_PX).unwrap();
     let ns = |k: usize| 1_000_000_000 + (k as f64 * period * 1e9).round() as u64;
     let (mut run, mut frames, mut blind_s) = (Run::default(), Vec::new(), 0.0);
     law.sent(&[0.0; 6], ns(0) - 100);
-    for k in 0..(8.0 / period) as usize {
+    for k in 0..(seconds / period) as usize {
         let truth = world.features();
         let pairs = truth.iter().flatten().zip(task.goal.iter().flatten());
         let away_px = pairs.map(|(s, goal)| (s - goal).abs()).fold(0.0, f64::max);
@@ -106,13 +107,17 @@ fn settings() -> Settings {
     }
 }
 
-/// The runs of every second start; of every fourth where none is to arrive, which takes all of the
-/// time.
+/// Runs; those that are not to arrive last for twice as long as an arrival takes.
 fn runs(scene: &Scene, settings: Settings, arrives: bool) -> Vec<Run> {
-    let each = if arrives { 2 } else { 4 };
-    let starts = starts().into_iter().enumerate().step_by(each);
-    let each = |(k, start): (usize, Pose)| run(scene, k as u64, &start, settings);
-    starts.map(each).collect()
+    let (few, seconds) = if arrives {
+        (&[0, 10][..], 8.0)
+    } else {
+        (&[0][..], 4.0)
+    };
+    let numbers = taken(few, 0..starts().len()).into_iter();
+    numbers
+        .map(|number| run(scene, number, settings, seconds))
+        .collect()
 }
 
 #[test]

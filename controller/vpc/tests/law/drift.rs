@@ -7,7 +7,7 @@ use rand_distr::{Distribution, Normal};
 use scene::Pose;
 use vpc::{DOF, Law, Measurement, Refusal, Settings, Strategy, constraint};
 
-use crate::world::{INSTANTS, Own, World};
+use crate::world::{INSTANTS, Own, World, is_long, taken};
 
 /// How a run goes.
 struct Trial {
@@ -22,6 +22,8 @@ struct Trial {
     stuck: usize,
     /// Cycles after its arrival at which a run ends.
     after: usize,
+    /// The longest that it takes, s.
+    seconds: f64,
 }
 
 impl Default for Trial {
@@ -34,6 +36,7 @@ impl Default for Trial {
             drift_compensation: true,
             stuck: usize::MAX,
             after: usize::MAX,
+            seconds: 8.0,
         }
     }
 }
@@ -72,10 +75,9 @@ impl Mean {
     }
 }
 
-const SECONDS: f64 = 8.0;
-
-fn run(trial: &Trial, (seed, start): (usize, &Pose)) -> Run {
-    let mut world = World::new(start);
+/// A run from the start of this number.
+fn run(trial: &Trial, number: usize) -> Run {
+    let mut world = World::new(&starts()[number]);
     let scene = world.scene.clone();
     let period = scene.sampling_time();
     let settings = Settings {
@@ -88,13 +90,13 @@ fn run(trial: &Trial, (seed, start): (usize, &Pose)) -> Run {
     law.go_live(100_000_000);
     let task = law.task().clone();
     let goal = task.goal.as_flattened();
-    let mut random = ChaCha8Rng::seed_from_u64(seed as u64);
+    let mut random = ChaCha8Rng::seed_from_u64(number as u64);
     let noise = Normal::new(0.0, trial.noise_px).unwrap();
     let ns = |k: usize| 1_000_000_000 + (k as f64 * period * 1e9).round() as u64;
     let (mut run, mut frames, mut standing) = (Run::default(), Vec::new(), [0.0; DOF]);
     let (mut errors, mut changes, mut away) = (Mean::default(), Mean::default(), Mean::default());
     law.sent(&standing, ns(0) - 100);
-    for k in 0..(SECONDS / period) as usize {
+    for k in 0..(trial.seconds / period) as usize {
         let truth = world.features();
         let each = || {
             truth
@@ -153,30 +155,21 @@ fn run(trial: &Trial, (seed, start): (usize, &Pose)) -> Run {
     run
 }
 
-/// Runs from some starts.
-fn runs(trial: &Trial) -> Vec<Run> {
-    runs_from(trial, 6)
-}
-
 fn starts() -> Vec<Pose> {
     scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap()
 }
 
-fn runs_from(trial: &Trial, count: usize) -> Vec<Run> {
-    let starts = starts();
-    let starts = starts.iter().enumerate().skip(40).take(count);
-    starts.map(|start| run(trial, start)).collect()
+/// Runs from the starts of these numbers.
+fn runs(trial: &Trial, numbers: &[usize]) -> Vec<Run> {
+    numbers.iter().map(|number| run(trial, *number)).collect()
 }
 
-/// Cycles until the arrival; those of the whole run where there is none, as from a hard start
-/// without a memory, of which there may be one.
+/// Cycles until the arrival, on average.
 fn mean_cycles(runs: &[Run]) -> f64 {
-    let late = runs.iter().filter(|run| run.cycles.is_none()).count();
-    assert!(late <= 1, "{late} of {}", runs.len());
     let mut mean = Mean::default();
-    let all = SECONDS * World::new(&starts()[0]).scene.camera.rate_hz;
-    runs.iter()
-        .for_each(|run| mean.add(run.cycles.map_or(all, |cycles| cycles as f64)));
+    for run in runs {
+        mean.add(run.cycles.expect("it arrives") as f64);
+    }
     mean.get()
 }
 
@@ -188,11 +181,14 @@ fn a_pattern_that_moves_is_followed() {
         |_| [0.1, 0.0, 0.0, 0.0, 0.0, 0.0],
         |_| [0.0, 0.0, 0.0, 0.0, 0.0, 0.2],
     ];
+    let numbers = taken(&[40], 40..46);
     for own in motions {
-        for run in runs(&Trial {
+        let follows = Trial {
             own,
+            after: 90,
             ..Trial::default()
-        }) {
+        };
+        for run in runs(&follows, &numbers) {
             assert!(run.cycles.is_some() && run.refusal.is_none(), "{run:?}");
             assert!(run.error_px < 0.3 && run.deepest_px < 3.0, "{run:?}");
         }
@@ -200,9 +196,10 @@ fn a_pattern_that_moves_is_followed() {
         let lags = Trial {
             own,
             drift_compensation: false,
+            seconds: 4.0,
             ..Trial::default()
         };
-        assert!(runs(&lags).iter().all(|run| run.cycles.is_none()));
+        assert!(runs(&lags, &numbers).iter().all(|run| run.cycles.is_none()));
     }
 }
 
@@ -210,10 +207,11 @@ fn a_pattern_that_moves_is_followed() {
 fn a_circle_is_followed_to_two_millimetres() {
     let own: Own = |t| [0.1 * t.cos(), 0.1 * t.sin(), 0.0, 0.0, 0.0, 0.0];
     let mut squares = Mean::default();
-    for run in runs(&Trial {
+    let trial = Trial {
         own,
         ..Trial::default()
-    }) {
+    };
+    for run in runs(&trial, &taken(&[40, 41], 40..46)) {
         assert!(run.cycles.is_some() && run.refusal.is_none(), "{run:?}");
         squares.add(run.away_mm * run.away_mm);
     }
@@ -229,7 +227,7 @@ fn a_pattern_at_rest_costs_little() {
             after: 90,
             ..Trial::default()
         };
-        runs_from(&trial, 30)
+        runs(&trial, &taken(&[40, 41], 40..70))
     };
     let (with, without) = (of(true), of(false));
     // Until the pattern is known to be at rest, ways keep farther from borders.
@@ -237,7 +235,7 @@ fn a_pattern_at_rest_costs_little() {
     assert!(with_s < 1.06 * without_s, "{with_s} instead of {without_s}");
     assert!(
         with.iter()
-            .all(|run| run.change < 0.008 && run.error_px < 0.1),
+            .all(|run| run.change < 0.002 && run.error_px < 0.1),
         "{with:?}"
     );
 }
@@ -252,7 +250,7 @@ fn a_wrong_gain_is_no_motion_of_the_pattern() {
                 after: 0,
                 ..Trial::default()
             };
-            mean_cycles(&runs_from(&trial, 30))
+            mean_cycles(&runs(&trial, &taken(&[41, 48], 40..70)))
         };
         let (with, without) = (of(true), of(false));
         assert!(with < 1.05 * without, "{gain}: {with} instead of {without}");
@@ -263,11 +261,13 @@ fn a_wrong_gain_is_no_motion_of_the_pattern() {
 fn a_pattern_is_followed_with_a_wrong_gain() {
     let own: Own = |_| [0.1, 0.0, 0.0, 0.0, 0.0, 0.0];
     for gain in [0.8, 1.2] {
-        for run in runs(&Trial {
+        let trial = Trial {
             own,
             gain,
+            after: 90,
             ..Trial::default()
-        }) {
+        };
+        for run in runs(&trial, &taken(&[40, 41], 40..46)) {
             assert!(run.error_px < 0.3 && run.cycles.is_some(), "{gain} {run:?}");
         }
     }
@@ -275,30 +275,27 @@ fn a_pattern_is_followed_with_a_wrong_gain() {
 
 #[test]
 fn an_image_that_sticks_is_not_taken_for_motion() {
-    let mut ways = Vec::new();
     for stuck in [10, 20, 30] {
-        for run in runs(&Trial {
+        let trial = Trial {
             stuck,
             ..Trial::default()
-        }) {
+        };
+        for run in runs(&trial, &taken(&[40, 41], 40..46)) {
             let is_noticed = matches!(run.refusal, Some(Refusal::NotFollowing { .. }));
-            assert!(is_noticed, "{stuck}: {run:?}");
-            ways.push(run.way_m);
+            assert!(is_noticed && run.way_m < 0.6, "{stuck}: {run:?}");
         }
     }
-    ways.sort_by(f64::total_cmp);
-    // One of 18 begins while the camera all but stands.
-    assert!(ways[16] < 0.6 && ways[17] < 1.0, "{ways:?}");
 }
 
 #[test]
 fn a_camera_that_begins_again_elsewhere_teaches_nothing() {
-    let starts = &starts()[..30];
+    let starts = starts();
+    let starts = &starts[..if is_long() { 30 } else { 12 }];
     let scene = World::new(&starts[0]).scene;
     let seen = |start| Measurement::from_points(&World::new(start).features());
     let ns = |k: usize| 1_000_000_000 + k as u64 * 33_333_333;
     let fresh = Law::new(&scene, Settings::default(), |len| vec![0.0; len]).unwrap();
-    let mut taken = 0;
+    let mut count = 0;
     for (k, before) in starts.iter().enumerate() {
         for (j, after) in starts.iter().enumerate() {
             let mut law = fresh.clone();
@@ -314,7 +311,7 @@ fn a_camera_that_begins_again_elsewhere_teaches_nothing() {
                     law.reset();
                 }
                 if is_back && law.step(&seen(after).taken(ns(at), ns(at)), None).is_ok() {
-                    taken += 1;
+                    count += 1;
                     assert_eq!(*law.drift(), [0.0; DOF], "{k} {j}");
                 }
                 let is_moving = at < 6.min(pause);
@@ -322,5 +319,5 @@ fn a_camera_that_begins_again_elsewhere_teaches_nothing() {
             }
         }
     }
-    assert!(taken > 100, "{taken}");
+    assert!(count > starts.len() * starts.len() / 5, "{count}");
 }

@@ -10,6 +10,8 @@ use vpc::{
     Law, Measurement, Refusal, Settings, Step, Strategy, Task, Twist, camera, constraint, task,
 };
 
+use crate::world::is_long;
+
 /// Cycles of a run.
 const CYCLES: u64 = 100;
 /// Instants of a period that are judged.
@@ -183,10 +185,7 @@ fn guarded(limits: Limits) -> Seen {
     let mut scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
     scene.limits = limits;
     let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
-    let most = match std::env::var_os("VPC_LONG") {
-        Some(_) => 1_000_000,
-        None => 20_000,
-    };
+    let most = if is_long() { 1_000_000 } else { 20_000 };
     let mut seen = Seen {
         least_sine: 1.0,
         ..Seen::default()

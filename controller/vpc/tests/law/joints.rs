@@ -10,6 +10,8 @@ use vpc::arm::Cause;
 use vpc::guide::{Guide, Kind};
 use vpc::{Law, Measurement, Refusal, Settings, Step, Strategy};
 
+use crate::world::{is_long, taken};
+
 const PERIOD_NS: u64 = 33_333_333;
 
 /// The paper's robot scene at ten times its speed, with the shipped Panda or a free camera.
@@ -59,15 +61,13 @@ fn between(arm: &Arm, q: &Joints) -> f64 {
 
 /// Inputs of each test that draws them: `VPC_LONG=1` a million.
 fn inputs() -> usize {
-    match std::env::var_os("VPC_LONG") {
-        Some(_) => 1_000_000,
-        None => 30_000,
-    }
+    if is_long() { 1_000_000 } else { 6_000 }
 }
 
 #[test]
 fn whatever_the_law_is_shown_no_command_leads_a_joint_out_of_its_range() {
-    let mut random = ChaCha8Rng::seed_from_u64(5);
+    // In few cycles, too, this seed leads to the ends of ranges, to the table and to other links.
+    let mut random = ChaCha8Rng::seed_from_u64(9);
     let mut scene = scene(true);
     let table = scene::Wall {
         normal: [0.0, 0.0, 1.0],
@@ -133,9 +133,9 @@ fn whatever_the_law_is_shown_no_command_leads_a_joint_out_of_its_range() {
     assert!(lowest > 0.097, "{lowest} m above the base");
     let clearance = arm.shapes.clearance;
     assert!(apart > 0.8 * clearance, "{apart} m between links");
-    assert!(close > 20, "{close}");
+    assert!(1_500 * close > inputs(), "{close}");
     // The bounds were needed.
-    assert!(bound > 100, "{bound}");
+    assert!(300 * bound > inputs(), "{bound}");
 }
 
 #[test]
@@ -151,49 +151,55 @@ fn a_start_whose_way_ends_at_a_joint_arrives_where_the_law_knows_the_arm() {
             return q;
         }
     };
-    let arrivals = [false, true].map(|knows| {
-        let mut random = ChaCha8Rng::seed_from_u64(6);
+    let mut random = ChaCha8Rng::seed_from_u64(6);
+    let starts: Vec<Joints> = (0..12).map(|_| drawn(&mut random)).collect();
+    let numbers = taken(&[1], 0..starts.len());
+    let [without, with] = [false, true].map(|knows| {
         let scene = scene(knows);
         let mut law = law(&scene, Strategy::Foresight);
-        let arrives = |_: &usize| {
+        let arrives = |number: &&usize| {
             law.reset();
-            arrives(&mut law, &scene, &arm, &object, drawn(&mut random), 20.0)
+            arrives(&mut law, &scene, &arm, &object, starts[**number], 20.0)
         };
-        (0..12).filter(arrives).count()
+        numbers.iter().filter(arrives).count()
     });
+    let most_lost = numbers.len() / 12;
     assert!(
-        arrivals[1] >= 11 && arrivals[1] > arrivals[0],
-        "{arrivals:?}"
+        with + most_lost >= numbers.len() && with > without,
+        "{without} {with}"
     );
 }
 
 #[test]
 fn arms_with_four_and_five_joints_arrive_where_the_law_knows_what_they_cannot_do() {
     let tests = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests");
-    for file in ["five.toml", "scara.toml"] {
+    let seconds = if is_long() { 20.0 } else { 8.0 };
+    // From these few, an arm that the law does not know stays behind.
+    for (file, few) in [("five.toml", 3), ("scara.toml", 5)] {
         let mut scene = Scene::read(&tests.join("scenes").join(file)).unwrap();
         let described = scene.arm.take().unwrap();
         let arm = Arm::from(&described);
         let at_goal = arm::joints(&described.goal);
         let object = arm.chain.pose(&at_goal) * goal(&scene);
+        let mut random = ChaCha8Rng::seed_from_u64(7);
+        let mut drawn = || loop {
+            let q = Joints::from_fn(|k, _| match k < arm.chain.count() {
+                true => at_goal[k] + random.random_range(-0.4..0.4),
+                false => 0.0,
+            });
+            if is_in_sight(&scene, &(arm.chain.pose(&q).inverse() * object)) {
+                return q;
+            }
+        };
+        let starts: Vec<Joints> = (0..8).map(|_| drawn()).collect();
         let all_arrive = [Some(described), None].map(|told| {
             scene.arm = told;
-            let mut random = ChaCha8Rng::seed_from_u64(7);
             let mut law = law(&scene, Strategy::Foresight);
-            let mut drawn = || loop {
-                let q = Joints::from_fn(|k, _| match k < arm.chain.count() {
-                    true => at_goal[k] + random.random_range(-0.4..0.4),
-                    false => 0.0,
-                });
-                if is_in_sight(&scene, &(arm.chain.pose(&q).inverse() * object)) {
-                    return q;
-                }
-            };
-            let arrives = |_: usize| {
+            let arrives = |number: usize| {
                 law.reset();
-                arrives(&mut law, &scene, &arm, &object, drawn(), 20.0)
+                arrives(&mut law, &scene, &arm, &object, starts[number], seconds)
             };
-            (0..8).all(arrives)
+            taken(&[few], 0..starts.len()).into_iter().all(arrives)
         });
         assert_eq!(all_arrive, [true, false], "{file}");
     }
@@ -205,7 +211,7 @@ fn a_path_in_the_joints_leads_out_of_corners() {
     let mut law = law(&scene, Strategy::Foresight);
     // From searches for starts at the ends of ranges: joint 7 must turn the long way, which only
     // such a path does; joint 2 is in its margin, out of which a refined way leads as well.
-    for (is_lost, q) in [
+    let starts = [
         (
             true,
             [0.8181, 0.3634, -0.1536, -1.2315, -0.1924, 1.2493, -2.7790],
@@ -214,7 +220,8 @@ fn a_path_in_the_joints_leads_out_of_corners() {
             false,
             [0.1959, -1.6083, 0.2638, -2.2543, -0.0948, 1.0303, 1.1995],
         ),
-    ] {
+    ];
+    for (is_lost, q) in starts.into_iter().take(if is_long() { 2 } else { 1 }) {
         law.reset();
         assert!(arrives(&mut law, &scene, &arm, &object(), q.into(), 60.0));
         let state = law.state();

@@ -71,31 +71,34 @@ fn solutions_match_slsqp_cost_and_keep_constraints() {
     );
 }
 
+/// Not of all: there are other local minima, and ten iterations are too few for some windows of 30.
 #[test]
-#[ignore = "93 % (windows of 30: 85 %): other local minima, and ten iterations end too early for some"]
-fn with_scipy_s_starts_the_best_answers_are_as_good_as_scipy_s() {
-    compare("from SciPy's six starts", &[3, 10, 30], |problem, case| {
-        let mut workspace = case.workspace();
-        let mut solver = case.solver(&mut workspace);
-        let answers = problem
-            .starts
-            .iter()
-            .map(|start| case.solve(&mut solver, &start.v));
-        let rank = |s: &Solution| ((s.violation_px - VIOLATION_PX).max(0.0), s.cost);
-        let better = |a: &Solution, b: &Solution| rank(a).partial_cmp(&rank(b)).unwrap();
-        answers.min_by(better).unwrap()
-    });
+fn with_scipy_s_starts_the_best_answers_are_mostly_as_good_as_scipy_s() {
+    compare(
+        0.9,
+        "from SciPy's six starts",
+        &[3, 10, 30],
+        |problem, case| {
+            let mut workspace = case.workspace();
+            let mut solver = case.solver(&mut workspace);
+            let answers = problem
+                .starts
+                .iter()
+                .map(|start| case.solve(&mut solver, &start.v));
+            let rank = |s: &Solution| ((s.violation_px - VIOLATION_PX).max(0.0), s.cost);
+            let better = |a: &Solution, b: &Solution| rank(a).partial_cmp(&rank(b)).unwrap();
+            answers.min_by(better).unwrap()
+        },
+    );
 }
 
 #[test]
 fn one_start_is_enough_for_windows_of_3() {
-    compare("from standing still", &[3], from("zero"));
-    compare("without a warm start", &[3], cold);
-    compare(
-        "from the unconstrained answers",
-        &[3],
-        from("unconstrained"),
-    );
+    let as_good = PROBLEMS_SHARE;
+    compare(as_good, "from standing still", &[3], from("zero"));
+    compare(as_good, "without a warm start", &[3], cold);
+    let unconstrained = "from the unconstrained answers";
+    compare(as_good, unconstrained, &[3], from("unconstrained"));
 }
 
 /// SciPy finds 207 from there.
@@ -119,20 +122,11 @@ fn without_a_warm_start_as_many_answers_are_good_as_scipy_s_at_the_work_of_one_s
     assert!(good >= 207 && ratio < 1.05, "{good}, {ratio}");
 }
 
+/// From there SciPy itself is as good as from its best start on 64 % of the problems.
 #[test]
-#[ignore = "87 % of the best of SciPy's six starts: other local minima; SciPy itself has 86 % from there"]
-fn no_start_is_needed() {
-    compare("without a warm start", &[3, 10, 30], cold);
-}
-
-#[test]
-#[ignore = "85 % of the best of SciPy's six starts: other local minima; SciPy itself has 64 % from there"]
-fn one_start_is_enough_from_the_unconstrained_answers() {
-    compare(
-        "from the unconstrained answers",
-        &[3, 10, 30],
-        from("unconstrained"),
-    );
+fn from_the_unconstrained_answers_most_are_as_good_as_the_best_of_scipy_s() {
+    let unconstrained = "from the unconstrained answers";
+    compare(0.85, unconstrained, &[3, 10, 30], from("unconstrained"));
 }
 
 /// Solves without a warm start.
@@ -152,7 +146,12 @@ fn from(name: &'static str) -> impl Fn(&Subproblem, &Case) -> Solution {
     }
 }
 
-fn compare(name: &str, windows: &[usize], solve: impl Fn(&Subproblem, &Case) -> Solution) {
+fn compare(
+    least: f64,
+    name: &str,
+    windows: &[usize],
+    solve: impl Fn(&Subproblem, &Case) -> Solution,
+) {
     let fixture = Fixture::read();
     let mut all = Tally::default();
     for &np in windows {
@@ -167,7 +166,7 @@ fn compare(name: &str, windows: &[usize], solve: impl Fn(&Subproblem, &Case) -> 
         all.take(tally);
     }
     println!("{name}: {all}");
-    assert!(all.share() >= PROBLEMS_SHARE, "{name}: {all}");
+    assert!(all.share() >= least, "{name}: {all}");
     assert!(all.worst_px <= VIOLATION_PX, "{name}: {all}");
 }
 

@@ -1,5 +1,7 @@
 //! A camera before a pattern that moves: a truth of its own.
 
+use std::ops::Range;
+
 use nalgebra::Vector3;
 use scene::{Pose, Scene};
 use vpc::motion::{Motion, rotation};
@@ -20,6 +22,20 @@ pub struct World {
 
 /// Instants of a period at which the world is looked at.
 pub const INSTANTS: usize = 12;
+
+/// Whether tests run at full length: `VPC_LONG=1`.
+pub fn is_long() -> bool {
+    std::env::var_os("VPC_LONG").is_some_and(|value| !value.is_empty() && value != "0")
+}
+
+/// The numbers of a test's starts: these few, which show the mechanism, or all with `VPC_LONG=1`.
+pub fn taken(few: &[usize], all: Range<usize>) -> Vec<usize> {
+    if is_long() {
+        all.collect()
+    } else {
+        few.to_vec()
+    }
+}
 
 impl World {
     /// The paper's simulated scene.
