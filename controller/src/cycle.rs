@@ -61,7 +61,7 @@ fn pause_ns(waited_ns: u64) -> u64 {
 
 /// Whether a request that leads to motion has waited for too long, in a loop that hung perhaps, or
 /// is from the future. Those that end it are never late.
-fn is_late(request: &Request, now_ns: u64) -> bool {
+pub fn is_late(request: &Request, now_ns: u64) -> bool {
     let asked_ns = request.stamp.published_ns;
     let is_in_time =
         asked_ns <= now_ns + FUTURE_NS && now_ns <= asked_ns.saturating_add(Request::LATE_NS);

@@ -149,6 +149,8 @@ fn repeat_request(control: &mut ControlStep, reply: &Reply) -> Result<(), Box<Di
         return Ok(());
     };
     request.stamp.published_ns = reply.stamp.data_ns;
+    // Also where it names a stop and does not arm.
+    request.stops = reply.seen;
     let mut replayed = control.request(&request, reply.cycle);
     replayed.stamp = reply.stamp;
     difference::compare_messages(reply.cycle, "reply.", reply, &replayed)
@@ -163,7 +165,6 @@ fn request_of(reply: &Reply) -> Option<Request> {
             Some(Request::strategy(reply.id, strategy, reply.neighbours))
         }
         (Action::Strategy, _) => None,
-        (Action::Arm, _) => Some(Request::arm(reply.id, reply.seen)),
         (action, _) => Some(Request::new(reply.id, action)),
     }
 }

@@ -1,0 +1,181 @@
+//! The camera: what it sees of the object, and what it sends of that.
+
+use decision::Input;
+use hw_sim::FreeCamera;
+use messages::{Features, MAX_POINTS, Message};
+use rand::{Rng, RngExt};
+use scene::{Pose, Scene};
+
+use crate::PERIOD_NS;
+use crate::fault::Fault;
+
+/// Noise of a measured point, px.
+const NOISE_PX: f64 = 0.1;
+/// How old the images of a late camera are, and how far others are in the future, ns.
+const LATE_NS: u64 = 400_000_000;
+/// Where another object is.
+const OTHER: Pose = Pose {
+    translation: [-0.3, -0.2, 0.8],
+    rotation: [-0.2, 0.3, 0.4],
+};
+
+/// The camera in the robot's hand, and its driver.
+pub struct Camera {
+    scene: Scene,
+    /// What it truly sees.
+    pub eye: FreeCamera,
+    /// What goes wrong with it, and since when, ns.
+    fault: Option<(Fault, u64)>,
+    /// Deviation of the noise of [`Fault::Noise`], px.
+    noise_px: f64,
+    /// Whether the fault has shown itself once.
+    has_begun: bool,
+    sequence: u64,
+    /// The last message of a camera that worked.
+    good: Features,
+    older_ns: u64,
+}
+
+impl Camera {
+    /// One that sees the object there.
+    pub fn new(scene: &Scene, start: &Pose) -> Self {
+        Self {
+            scene: scene.clone(),
+            eye: FreeCamera::new(scene, start),
+            fault: None,
+            noise_px: 0.0,
+            has_begun: false,
+            sequence: 0,
+            good: Features::default(),
+            older_ns: 0,
+        }
+    }
+
+    /// From now on it fails so.
+    pub fn fail(&mut self, fault: Fault, now_ns: u64, random: &mut impl Rng) {
+        self.fault = Some((fault, now_ns));
+        self.noise_px = 10_f64.powf(random.random_range(-9.0..-0.3));
+        (self.has_begun, self.older_ns) = (false, 0);
+    }
+
+    /// From now on it works.
+    pub fn recover(&mut self) {
+        self.fault = None;
+    }
+
+    /// When the last good features were published, ns.
+    pub fn good_ns(&self) -> u64 {
+        self.good.stamp.published_ns
+    }
+
+    /// An image of what it sees; `None` where a point is behind it.
+    pub fn expose(&self, now_ns: u64, random: &mut impl Rng) -> Option<Features> {
+        let points = self.eye.features().ok()?;
+        let mut features = Features::new(&points, now_ns);
+        noisy(&mut features, NOISE_PX, random);
+        Some(features)
+    }
+
+    /// What its driver publishes of an image at `now_ns`; `None` if nothing.
+    pub fn publish(
+        &mut self,
+        image: Features,
+        now_ns: u64,
+        random: &mut impl Rng,
+    ) -> Option<Input<Features>> {
+        let mut features = image;
+        features.stamp.published_ns = now_ns;
+        let Some((fault, since_ns)) = self.fault else {
+            let features = self.count(features);
+            self.good = features;
+            return Some(Input::Message(features));
+        };
+        let is_first = !std::mem::replace(&mut self.has_begun, true);
+        let good = self.good;
+        match fault {
+            Fault::Freeze => features.stamp.data_ns = good.stamp.data_ns,
+            Fault::Image => features.points = good.points,
+            Fault::Noise => {
+                features.points = good.points;
+                noisy(&mut features, self.noise_px, random);
+            }
+            Fault::OtherAfterHidden | Fault::OtherAfterRestart => {
+                if is_first {
+                    self.eye = FreeCamera::new(&self.scene, &OTHER);
+                    if fault == Fault::OtherAfterRestart {
+                        self.sequence = 0;
+                        return None;
+                    }
+                    features.visible = 0b1011;
+                }
+            }
+            Fault::Silence | Fault::Replaced => return None,
+            Fault::Pause if now_ns < since_ns + LATE_NS => return None,
+            Fault::Older => {
+                self.older_ns += PERIOD_NS;
+                features.stamp.data_ns = good.stamp.data_ns - self.older_ns;
+            }
+            Fault::Hidden => features.visible = 0b1011,
+            Fault::Zeros => features.points = features.points.map(|x| x * 1e-3),
+            Fault::Line => {
+                let v = features.points[1];
+                heights(&mut features).for_each(|x| *x = v);
+            }
+            Fault::Late => {
+                features.stamp.data_ns -= LATE_NS;
+                features.stamp.published_ns -= LATE_NS;
+                if features.stamp.data_ns <= good.stamp.data_ns {
+                    return None;
+                }
+            }
+            Fault::Future => features.stamp.published_ns += LATE_NS,
+            Fault::NotFinite => features.points[2] = f64::NAN,
+            Fault::TooFew => features.count = 3,
+            Fault::Swapped => (0..2).for_each(|k| features.points.swap(k, k + 2)),
+            Fault::Uncounted => self.sequence = 0,
+            Fault::Transport => return Some(Input::Failed),
+            Fault::NoAnswer => {
+                let count = f64::from(features.count);
+                let middle = heights(&mut features).map(|v| *v).sum::<f64>() / count;
+                heights(&mut features).for_each(|v| *v = middle + 0.01 * (*v - middle));
+            }
+            _ => (),
+        }
+        let features = self.count(features);
+        // As reception checks it.
+        Some(match features.check() {
+            Ok(()) => Input::Message(features),
+            Err(_) => Input::Refused(features.stamp),
+        })
+    }
+
+    /// Another camera takes its place, which sees the object there.
+    pub fn replace(&mut self, start: &Pose) {
+        (self.eye, self.fault) = (FreeCamera::new(&self.scene, start), None);
+        self.sequence = 0;
+    }
+
+    /// The object is carried to where the camera sees it well.
+    pub fn place(&mut self, start: &Pose) {
+        self.eye = FreeCamera::new(&self.scene, start);
+    }
+
+    fn count(&mut self, mut features: Features) -> Features {
+        self.sequence += 1;
+        features.stamp.sequence = self.sequence;
+        features
+    }
+}
+
+/// The v of each point.
+fn heights(features: &mut Features) -> impl Iterator<Item = &mut f64> {
+    let count = (features.count as usize).min(MAX_POINTS);
+    features.points[..2 * count].iter_mut().skip(1).step_by(2)
+}
+
+fn noisy(features: &mut Features, px: f64, random: &mut impl Rng) {
+    let count = 2 * features.count as usize;
+    for x in &mut features.points[..count] {
+        *x += random.random_range(-px..=px);
+    }
+}

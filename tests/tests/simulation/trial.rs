@@ -1,0 +1,664 @@
+//! The course of a run: the camera is set in motion, something goes wrong, what must follow
+//! follows, and after that nothing moves until somebody arms again.
+
+use messages::{Action, Hold, Outcome as Answer, Request, StrategyCode, TwistCommand, TwistState};
+use rand::RngExt;
+
+use crate::PERIOD_NS;
+use crate::daemon::Daemon;
+use crate::fault::{ALL, Fault, Outcome};
+use crate::operator::{Habit, MOST, Operator};
+use crate::queue::Event;
+use crate::world::{Left, World};
+
+const MS: u64 = 1_000_000;
+const SECOND: u64 = 1_000 * MS;
+/// Wake-ups and the way to the port, ns.
+const SLACK_NS: u64 = MS;
+/// For how long the law remembers its commands, and may take points for others, ns.
+const FORGOTTEN_NS: u64 = 36 * PERIOD_NS;
+/// In which a camera that is armed moves, ns.
+const PATIENCE_NS: u64 = 2 * SECOND;
+/// How long a robot without commands moves on, ns: the dead man and a tick.
+const REST_NS: u64 = 104 * MS;
+/// In which a daemon that is told to end has ended, ns.
+const END_NS: u64 = 500 * MS;
+/// In which the camera stands after a guarded program fell silent, ns.
+const SILENT_NS: u64 = 500 * MS;
+/// Twists of a guarded program, and cycles in which they move the camera at least.
+const TWISTS: u32 = 100;
+const MOVED: u32 = 200;
+/// The deepest that a guarded point may be in an occlusion or outside the image, px.
+const DEEPEST_PX: f64 = 3.0;
+
+/// The most of a fault's runs: times, ns, and the greatest step, as a share of the limits.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Figures {
+    /// From the last good features or the fault to the first command that is not the law's.
+    pub brakes_ns: u64,
+    /// To the first zero.
+    pub zero_ns: u64,
+    /// To the end of the robot's motion, where no commands come.
+    pub rest_ns: u64,
+    /// From SIGTERM to the end.
+    pub end_ns: u64,
+    /// From the asking of a stop to zero.
+    pub stop_ns: u64,
+    /// The greatest step.
+    pub steepest: f64,
+    /// The deepest of a guarded point, px.
+    pub deepest_px: f64,
+}
+
+impl Figures {
+    /// The greater of each.
+    pub fn max(self, other: Self) -> Self {
+        Self {
+            brakes_ns: self.brakes_ns.max(other.brakes_ns),
+            zero_ns: self.zero_ns.max(other.zero_ns),
+            rest_ns: self.rest_ns.max(other.rest_ns),
+            end_ns: self.end_ns.max(other.end_ns),
+            stop_ns: self.stop_ns.max(other.stop_ns),
+            steepest: self.steepest.max(other.steepest),
+            deepest_px: self.deepest_px.max(other.deepest_px),
+        }
+    }
+}
+
+/// Where a run is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Stage {
+    /// Nothing may move; what is to come is due at the next turn.
+    Waiting,
+    /// It is to be set in motion.
+    Arming,
+    Moving,
+    /// The fault has begun.
+    Failing,
+    /// The daemon is gone, or another one has begun.
+    Gone,
+    /// It has disarmed.
+    GaveUp,
+    /// It can never be armed again, whatever an operator asks.
+    Refused,
+    /// It must go on in spite of the fault.
+    Going,
+    /// It is told to end.
+    Ending,
+    /// Another program steers; then it has fallen silent.
+    Guarded,
+    Unwanted,
+    Storm,
+    Over,
+}
+
+/// The course of a run.
+pub struct Trial {
+    fault: Fault,
+    stage: Stage,
+    /// From when times count: the last good features, or the fault, ns.
+    since_ns: u64,
+    /// Until when it must move, ns.
+    until_ns: u64,
+    /// How often the fault is still to strike.
+    strikes: u32,
+    /// Whether the careful operator asks to arm.
+    is_armed_for: bool,
+    /// Whether it can be armed again after this fault.
+    can_arm: bool,
+    /// Whether zero at once is in order now.
+    pub is_grave: bool,
+    /// Twists that the other program has wanted, and cycles in which the camera moved.
+    twists: u32,
+    moved: u32,
+    /// The times of this run.
+    pub figures: Figures,
+}
+
+impl Trial {
+    /// Before anything.
+    pub fn new(fault: Fault) -> Self {
+        Self {
+            fault,
+            stage: Stage::Arming,
+            since_ns: 0,
+            until_ns: u64::MAX,
+            strikes: 1,
+            is_armed_for: true,
+            can_arm: true,
+            is_grave: false,
+            twists: 0,
+            moved: 0,
+            figures: Figures::default(),
+        }
+    }
+
+    /// Whether the run is over.
+    pub fn is_over(&self) -> bool {
+        self.stage == Stage::Over
+    }
+
+    /// Where it is, for people.
+    pub fn stage(&self) -> String {
+        format!("{:?} of {:?}", self.stage, self.fault)
+    }
+
+    /// Whether the careful operator asks to arm.
+    pub fn wants_motion(&self) -> bool {
+        self.is_armed_for
+    }
+
+    /// Whether the other program goes on.
+    pub fn wants_twist(&self) -> bool {
+        self.twists < TWISTS
+    }
+
+    /// The other program has wanted a twist.
+    pub fn wanted(&mut self) {
+        self.twists += 1;
+    }
+}
+
+impl World<'_> {
+    /// Before the first event.
+    pub fn begin_trial(&mut self) {
+        let now_ns = self.now_ns;
+        self.trial.until_ns = now_ns + PATIENCE_NS;
+        match self.plan.fault {
+            Fault::RobotUnheard => {
+                self.trial.stage = Stage::Waiting;
+                self.robot.fail(Fault::RobotUnheard);
+                self.trial.strikes = 0;
+                self.queue.at(now_ns + 3 * SECOND / 2, Event::Turn);
+            }
+            Fault::ArmedStart => {
+                self.peers_ns += self.between(0, 4 * SECOND);
+                self.trial.until_ns = self.peers_ns + PATIENCE_NS;
+                (self.trial.is_armed_for, self.trial.strikes) = (false, 0);
+            }
+            Fault::ArmedAlone => {
+                self.peers_ns += self.between(5_300 * MS, 8 * SECOND);
+                self.trial.stage = Stage::Waiting;
+                (self.trial.is_armed_for, self.trial.strikes) = (false, 0);
+                self.queue.at(self.peers_ns + SECOND, Event::Turn);
+            }
+            Fault::StopAgainstArm => {
+                for number in 2..5 {
+                    self.let_act(number, Habit::ArmLoop);
+                }
+            }
+            Fault::StopTwice | Fault::StopFile => self.trial.strikes = 2,
+            Fault::Guardian => self.trial.until_ns = u64::MAX,
+            Fault::Storm => {
+                self.trial.stage = Stage::Storm;
+                self.let_act(1, Habit::Wild);
+                if self.random.random_bool(0.3) {
+                    self.let_act(2, Habit::Flood);
+                }
+                self.trial.until_ns = now_ns + self.between(8 * SECOND, 14 * SECOND);
+                self.queue.at(now_ns + SECOND, Event::Turn);
+            }
+            _ => (),
+        }
+    }
+
+    fn let_act(&mut self, number: usize, habit: Habit) {
+        self.operators[number] = Operator::new(number, habit);
+        let first_ns = self.now_ns + self.between(0, PERIOD_NS);
+        self.queue.at(first_ns, Event::Act(number));
+    }
+
+    /// A command has gone out.
+    pub fn observe(&mut self, command: &TwistCommand, hold: Option<Hold>) {
+        let is_still = command.twist == [0.0; 6];
+        let state = command.state().unwrap();
+        let is_of_law = matches!(state, TwistState::Moving | TwistState::Arrived);
+        let now_ns = self.now_ns;
+        match self.trial.stage {
+            Stage::Arming if self.plan.fault == Fault::Guardian => self.begin_to_want(),
+            Stage::Arming if is_of_law && !is_still => self.moves(),
+            Stage::Arming if now_ns > self.trial.until_ns => {
+                let heard = self.operators[0].heard.and_then(|reply| reply.outcome());
+                self.judge.fail(|| {
+                    format!("motion: none in time: {state}, {hold:?}; arm is answered {heard:?}")
+                });
+            }
+            Stage::Failing => self.observe_fault(command, hold),
+            Stage::Gone => {
+                let is_fine = state == TwistState::Disarmed;
+                self.judge
+                    .check(is_fine, || format!("restart: {state} ({hold:?})"));
+                let causes = match self.plan.fault {
+                    Fault::Reload => &[Hold::NotArmed, Hold::Operator][..],
+                    _ => &[Hold::Unclean],
+                };
+                self.judge.cause(causes, hold);
+            }
+            Stage::Refused => {
+                let is_fine = state == TwistState::Disarmed;
+                self.judge
+                    .check(is_fine, || format!("lost stop file: {state}"));
+            }
+            Stage::Going if state == TwistState::Disarmed => {
+                self.judge.fail(|| format!("goes on: disarmed, {hold:?}"));
+            }
+            Stage::Guarded => self.trial.moved += u32::from(!is_still),
+            Stage::Unwanted => self.observe_silence(is_still, state, hold),
+            _ => (),
+        }
+    }
+
+    /// It has been set in motion: what goes wrong comes soon; or it was all that was to be shown.
+    fn moves(&mut self) {
+        self.trial.is_armed_for = false;
+        if self.trial.strikes == 0 {
+            self.trial.stage = Stage::Over;
+            return;
+        }
+        self.trial.stage = Stage::Moving;
+        let periods = if self.plan.fault == Fault::NoAnswer {
+            40..60
+        } else {
+            5..12
+        };
+        let at_ns = self.now_ns + self.between(periods.start * PERIOD_NS, periods.end * PERIOD_NS);
+        self.queue.at(at_ns, Event::Strike);
+    }
+
+    fn observe_fault(&mut self, command: &TwistCommand, hold: Option<Hold>) {
+        let Outcome::Disarms {
+            causes,
+            goes_on_ns,
+            brakes,
+        } = self.plan.fault.outcome()
+        else {
+            return;
+        };
+        let zero_ns = goes_on_ns + brakes * self.plan.brake_ns();
+        let Some(took_ns) = self.now_ns.checked_sub(self.trial.since_ns) else {
+            return;
+        };
+        let (is_still, state) = (command.twist == [0.0; 6], command.state().unwrap());
+        let is_of_law = matches!(state, TwistState::Moving | TwistState::Arrived);
+        let ms = took_ns / MS;
+        let figures = &mut self.trial.figures;
+        let had_zero = figures.zero_ns > 0;
+        if !is_of_law && figures.brakes_ns == 0 {
+            figures.brakes_ns = took_ns;
+        }
+        if is_still && !had_zero {
+            figures.zero_ns = took_ns;
+        }
+        let is_late = took_ns > zero_ns + SLACK_NS && !had_zero;
+        if is_of_law {
+            self.judge.check(took_ns <= goes_on_ns + SLACK_NS, || {
+                format!("brake: the law goes on for {ms} ms")
+            });
+        }
+        self.judge
+            .check(!is_late, || format!("zero: after {ms} ms, {hold:?}"));
+        let again = had_zero && !is_still;
+        self.judge.check(!again, || {
+            format!("zero: it moves again after {ms} ms, {hold:?}")
+        });
+        let never = took_ns > zero_ns + 2 * SECOND;
+        self.judge.check(!never, || {
+            format!("disarm: not in {ms} ms: {state}, {hold:?}")
+        });
+        if is_still && state == TwistState::Disarmed {
+            self.judge.cause(causes, hold);
+            self.gave_up();
+        }
+    }
+
+    /// It has disarmed: whatever was wrong is over, and nothing moves.
+    fn gave_up(&mut self) {
+        self.tell(|| "it gave up".to_owned());
+        self.trial.stage = Stage::GaveUp;
+        self.trial.strikes -= 1;
+        self.trial.is_grave = false;
+        if self.plan.fault != Fault::Replaced {
+            self.camera.recover();
+        }
+        self.robot.recover();
+        self.late = (0, 0);
+        self.see_well();
+        let wait_ns = FORGOTTEN_NS + self.between(3 * PERIOD_NS, 12 * PERIOD_NS);
+        self.queue.at(self.now_ns + wait_ns, Event::Turn);
+    }
+
+    /// Somebody carries the camera to where it sees the pattern, where it does not.
+    fn see_well(&mut self) {
+        let size = [self.plan.scene.camera.width, self.plan.scene.camera.height];
+        let is_seen = self.camera.eye.features().is_ok_and(|points| {
+            let mut points = points.iter();
+            points.all(|p| (0..2).all(|k| p[k] > 20.0 && p[k] < size[k] - 20.0))
+        });
+        if !is_seen {
+            self.camera.place(&self.plan.start);
+        }
+    }
+
+    /// The fault begins.
+    pub fn strike(&mut self) {
+        let fault = self.plan.fault;
+        self.tell(|| format!("{fault:?}"));
+        let now_ns = self.now_ns;
+        let good_ns = self.camera.good_ns();
+        self.trial.since_ns = if fault.is_of_eyes() { good_ns } else { now_ns };
+        (self.trial.figures.brakes_ns, self.trial.figures.zero_ns) = (0, 0);
+        self.trial.stage = match fault.outcome() {
+            Outcome::GoesOn => {
+                self.queue.at(now_ns + SECOND, Event::Turn);
+                Stage::Going
+            }
+            Outcome::Ends => Stage::Ending,
+            _ => Stage::Failing,
+        };
+        self.begin_fault(fault);
+    }
+
+    fn begin_fault(&mut self, fault: Fault) {
+        let now_ns = self.now_ns;
+        match fault {
+            Fault::RobotSilent
+            | Fault::RobotDead
+            | Fault::RobotFault
+            | Fault::RobotStrays
+            | Fault::RobotBlocked => {
+                self.trial.is_grave = fault == Fault::RobotFault;
+                self.robot.fail(fault);
+            }
+            Fault::Crash | Fault::CrashDisarmed => self.crash(),
+            Fault::Hang => {
+                self.hung_until_ns = now_ns + 2 * SECOND;
+                self.trial.since_ns = self.hung_until_ns;
+                self.judge.hung_until(self.hung_until_ns);
+            }
+            Fault::Suspend => {
+                self.trial.is_grave = true;
+                self.suspended_ns += self.between(10 * MS, 100 * SECOND);
+            }
+            Fault::ClockBack => {
+                self.trial.is_grave = true;
+                self.back_ns = 2 * PERIOD_NS + self.between(0, PERIOD_NS);
+            }
+            Fault::LateOnce => {
+                let late_ns = self.between(2 * PERIOD_NS, 3 * PERIOD_NS);
+                self.late = (1, late_ns);
+            }
+            Fault::LateLoop => {
+                let late_ns = self.between(PERIOD_NS + MS, 2 * PERIOD_NS);
+                self.late = (12, late_ns);
+            }
+            Fault::Unsent => self.unsent = self.random.random_range(1..6),
+            Fault::Terminate | Fault::Reload => {
+                self.shutdown = true;
+                if fault == Fault::Reload && self.random.random_bool(0.3) {
+                    let at_ns = now_ns + self.between(0, 100 * MS);
+                    self.queue.at(at_ns, Event::Recover);
+                }
+            }
+            Fault::Stop | Fault::StopTwice => self.ask_stop(),
+            Fault::StopAgainstArm if self.random.random_bool(0.5) => self.ask_stop(),
+            Fault::StopInFlood => {
+                self.flood();
+                self.ask_stop();
+            }
+            Fault::StopInBrake => {
+                self.operators[1].ask(Request::new(0, Action::Disarm), now_ns);
+                let at_ns = now_ns + self.between(0, 100 * MS);
+                self.queue.at(at_ns, Event::Recover);
+            }
+            Fault::StopFile | Fault::StopAgainstArm => {
+                let must_be_usable = fault == Fault::StopAgainstArm || self.trial.strikes == 2;
+                self.change_stop_file(must_be_usable);
+            }
+            Fault::Disarm => self.operators[1].ask(Request::new(0, Action::Disarm), now_ns),
+            Fault::Strategy => {
+                let request = match self.random.random_bool(0.5) {
+                    true => Request::strategy(0, StrategyCode::Knn, 3),
+                    false => Request::strategy(0, StrategyCode::Previous, 0),
+                };
+                self.operators[1].ask(request, now_ns);
+            }
+            Fault::Flood => self.flood(),
+            _ => {
+                self.trial.is_grave = fault == Fault::Future;
+                self.camera.fail(fault, now_ns, &mut self.random);
+                if fault == Fault::Replaced {
+                    let at_ns = now_ns + self.between(400 * MS, 700 * MS);
+                    self.queue.at(at_ns, Event::Recover);
+                }
+            }
+        }
+    }
+
+    fn ask_stop(&mut self) {
+        self.operators[1].ask(Request::new(0, Action::Stop), self.now_ns);
+        // A promise of a loop that runs and can send.
+        if self.late.0 == 0 && self.unsent == 0 {
+            let asked_ns = self.now_ns.max(self.hung_until_ns);
+            self.judge.stop_asked(asked_ns);
+        }
+    }
+
+    /// All operators but the first two fill their queues.
+    fn flood(&mut self) {
+        for number in 2..MOST {
+            self.let_act(number, Habit::Flood);
+        }
+    }
+
+    fn change_stop_file(&mut self, must_be_usable: bool) {
+        let Some(domain) = &mut self.domain else {
+            return;
+        };
+        self.trial.can_arm = domain.change(must_be_usable, &mut self.random);
+        self.judge.stop_asked(self.now_ns);
+    }
+
+    fn crash(&mut self) {
+        self.kill();
+        self.trial.stage = Stage::Gone;
+        let start_ns = self.now_ns + self.between(100 * MS, SECOND);
+        self.queue.at(start_ns, Event::Start);
+        self.queue.at(start_ns + FORGOTTEN_NS, Event::Turn);
+    }
+
+    /// A second part of a fault, or its end.
+    pub fn recover(&mut self) {
+        match self.plan.fault {
+            Fault::Replaced => self.camera.replace(&self.plan.start),
+            Fault::StopInBrake => self.ask_stop(),
+            Fault::Reload if self.daemon.is_some() && self.shutdown => self.ask_stop(),
+            Fault::Storm => {
+                self.camera.recover();
+                self.robot.recover();
+                self.see_well();
+            }
+            _ => (),
+        }
+    }
+
+    /// The robot carries out motion, or none.
+    pub fn observe_robot(&mut self, is_moving: bool) {
+        let fault = self.plan.fault;
+        let took_ns = match (self.trial.stage, fault) {
+            (Stage::Gone, Fault::Crash | Fault::CrashDisarmed) => self.now_ns - self.trial.since_ns,
+            (Stage::Failing, Fault::Hang) if self.now_ns < self.hung_until_ns => {
+                self.now_ns + 2 * SECOND - self.hung_until_ns
+            }
+            _ => return,
+        };
+        if is_moving {
+            self.trial.figures.rest_ns = took_ns;
+            self.judge.check(took_ns <= REST_NS, || {
+                format!("rest: the robot moves {} ms after", took_ns / MS)
+            });
+        }
+    }
+
+    /// The process has ended in order, with zero as its last word.
+    pub fn ended(&mut self, daemon: Daemon) {
+        let took_ns = self.now_ns - self.trial.since_ns;
+        self.trial.figures.end_ns = took_ns;
+        self.judge.check(took_ns <= END_NS, || {
+            format!("end: after {} ms", took_ns / MS)
+        });
+        if self.plan.fault != Fault::Reload {
+            self.trial.stage = Stage::Over;
+            return;
+        }
+        self.left = Left::Again(daemon.control().stops());
+        if let (true, Some(domain)) = (daemon.control().was_stopped(), &mut self.domain) {
+            domain.ask();
+        }
+        self.operators.iter_mut().for_each(Operator::forget);
+        self.judge.begins_again();
+        self.process += 1;
+        self.trial.stage = Stage::Gone;
+        let start_ns = self.now_ns + self.between(20 * MS, 200 * MS);
+        self.queue.at(start_ns, Event::Start);
+        self.queue.at(start_ns + FORGOTTEN_NS, Event::Turn);
+    }
+
+    /// The next part of the trial.
+    pub fn turn(&mut self) {
+        match self.trial.stage {
+            Stage::Waiting => {
+                if self.plan.fault == Fault::RobotUnheard {
+                    let heard = self.operators[0].heard.and_then(|reply| reply.outcome());
+                    self.judge.check(heard == Some(Answer::NoRobot), || {
+                        format!("no robot: arm is answered {heard:?}")
+                    });
+                    self.robot.recover();
+                }
+                self.arm_again();
+            }
+            Stage::GaveUp if !self.trial.can_arm => {
+                // Nobody could stop it any more: it cannot be armed.
+                (self.trial.is_armed_for, self.trial.can_arm) = (true, true);
+                self.trial.stage = Stage::Refused;
+                self.queue.at(self.now_ns + SECOND, Event::Turn);
+            }
+            Stage::GaveUp | Stage::Gone => {
+                self.trial.strikes = self.trial.strikes.min(1);
+                if self.trial.stage == Stage::Gone {
+                    self.trial.strikes = 0;
+                }
+                let wrong = self.random.random_range(2..9);
+                self.operators[1].ask(Request::arm(0, wrong), self.now_ns);
+                self.arm_again();
+            }
+            Stage::Going | Stage::Refused => self.trial.stage = Stage::Over,
+            Stage::Storm => self.storm(),
+            _ => (),
+        }
+    }
+
+    fn arm_again(&mut self) {
+        self.trial.stage = Stage::Arming;
+        self.trial.is_armed_for = true;
+        self.trial.until_ns = self.now_ns + PATIENCE_NS;
+    }
+
+    /// A guarded program begins, once it is armed.
+    fn begin_to_want(&mut self) {
+        let heard = self.operators[0].heard;
+        let is_armed = heard.is_some_and(|reply| reply.outcome() == Some(Answer::Done));
+        if is_armed {
+            self.trial.stage = Stage::Guarded;
+            self.trial.is_armed_for = false;
+            self.queue.at(self.now_ns, Event::Want);
+        }
+    }
+
+    /// The guarded program says nothing more.
+    pub fn policy_is_silent(&mut self) {
+        self.trial.stage = Stage::Unwanted;
+        self.trial.since_ns = self.now_ns - crate::policy::EVERY_NS;
+    }
+
+    fn observe_silence(&mut self, is_still: bool, state: TwistState, hold: Option<Hold>) {
+        let took_ns = self.now_ns - self.trial.since_ns;
+        if is_still && self.trial.figures.zero_ns == 0 {
+            self.trial.figures.zero_ns = took_ns;
+        }
+        self.judge.check(is_still || took_ns <= SILENT_NS, || {
+            format!("guardian: it moves {} ms after the program", took_ns / MS)
+        });
+        if took_ns < SECOND {
+            return;
+        }
+        let is_fine = (state, hold) == (TwistState::Holding, Some(Hold::Unwanted));
+        self.judge
+            .check(is_fine, || format!("guardian: {state}, {hold:?}"));
+        let moved = self.trial.moved;
+        self.judge.check(moved > MOVED, || {
+            format!("guardian: it moved in {moved} cycles")
+        });
+        let least = self.referee.as_ref().map_or(0.0, |one| one.least_between());
+        self.trial.figures.deepest_px = (-least).max(0.0);
+        self.judge.check(-least < DEEPEST_PX, || {
+            format!("guardian: a point is {:.1} px deep", -least)
+        });
+        self.trial.stage = Stage::Over;
+    }
+
+    /// Something goes wrong, or something else, until the time is up.
+    fn storm(&mut self) {
+        if self.now_ns > self.trial.until_ns {
+            self.trial.stage = Stage::Over;
+            return;
+        }
+        self.trial.is_grave = false;
+        let number = self.random.random_range(0..ALL.len());
+        let fault = ALL[number];
+        let is_left_out = matches!(
+            fault,
+            Fault::Storm
+                | Fault::Guardian
+                | Fault::ArmedStart
+                | Fault::ArmedAlone
+                | Fault::RobotUnheard
+                | Fault::Crash
+                | Fault::CrashDisarmed
+                | Fault::Terminate
+                | Fault::Reload
+                | Fault::StopInBrake
+                | Fault::StopFile
+                | Fault::StopAgainstArm
+        );
+        // Records of a clock that goes back have no order.
+        let is_left_out = is_left_out || fault == Fault::ClockBack && self.plan.is_recorded;
+        if self.daemon.is_some() && !is_left_out {
+            self.tell(|| format!("{fault:?}"));
+            self.begin_fault(fault);
+        }
+        let recover_ns = self.now_ns + self.between(10 * MS, SECOND);
+        self.queue.at(recover_ns, Event::Recover);
+        let next_ns = recover_ns + self.between(10 * MS, 2 * SECOND);
+        self.queue.at(next_ns, Event::Turn);
+    }
+}
+
+impl std::fmt::Display for Figures {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let times = [
+            ("brakes", self.brakes_ns),
+            ("zero", self.zero_ns),
+            ("rest", self.rest_ns),
+            ("end", self.end_ns),
+            ("stop", self.stop_ns),
+        ];
+        for (name, ns) in times.into_iter().filter(|(_, ns)| *ns > 0) {
+            write!(f, "{name} {} ms, ", ns.div_ceil(MS))?;
+        }
+        write!(f, "step {:.4} of the limit", self.steepest)?;
+        if self.deepest_px > 0.0 {
+            write!(f, ", {:.2} px deep", self.deepest_px)?;
+        }
+        Ok(())
+    }
+}
