@@ -1,6 +1,6 @@
-//! What these tests share: somebody who publishes everything, a recorder beside, other readers.
+//! What these tests share: somebody who publishes everything, and a recorder beside.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use ipc::{CameraPorts, ControllerPorts, Domain, OperatorPorts, RecorderPort, RobotPorts};
@@ -8,20 +8,21 @@ use messages::{
     Action, CycleRecord, Features, Hold, Outcome, Reply, Request, RobotMode, RobotState, Stamp,
     StrategyCode, TwistCommand, TwistState,
 };
-use rand::RngExt;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use recorder::{Ledger, Notice, Options, record};
 use recording::{Recorded, Recording};
 use scene::SceneFiles;
-use testkit::python::{Environment, run, script};
 use testkit::{Place, eventually};
 
-/// Messages of each topic.
-pub const MESSAGES: usize = 400;
+/// Messages of each topic: no more than the shortest queue holds, so that none is lost, however late
+/// the recorder comes to take them.
+pub const MESSAGES: usize = 64;
 
 /// Name of the recording in a place.
 pub const FILE: &str = "run.mcap";
 
+/// How to record a place.
 pub fn options(place: &Place) -> Options {
     Options {
         domain: place.domain(),
@@ -33,7 +34,7 @@ pub fn options(place: &Place) -> Options {
     }
 }
 
-pub fn scene() -> SceneFiles {
+fn scene() -> SceneFiles {
     SceneFiles::read(&testkit::scene_file()).unwrap()
 }
 
@@ -113,7 +114,7 @@ impl Stage {
             step_ns: 1_000 + i as u64,
             features_sequence: features.stamp.sequence,
             count: count as u32,
-            way_point_count: 4 * (i as u32 / 100 % 2),
+            way_point_count: 4 * (i as u32 / 16 % 2),
             state: TwistState::Moving.code(),
             points: features.points,
             way_point: std::array::from_fn(|_| any()),
@@ -147,11 +148,28 @@ impl Stage {
     }
 }
 
-pub fn stamp(stamp: &mut Stamp, sent: &ipc::Sent) {
+/// Publishes [`MESSAGES`] of each topic, records them, and reads the recording; what was published,
+/// read, and the counts.
+pub fn published_and_read(place: &Place) -> (Recording, Recording, Ledger) {
+    let mut stage = Stage::open(&place.domain());
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let mut published = Recording::default();
+    let (ledger, notices) = recorded(&options(place), || {
+        stage.wait_for_recorder();
+        for i in 0..MESSAGES {
+            stage.publish(i, &mut random, &mut published);
+        }
+    });
+    assert_eq!(notices, [], "nothing was lost");
+    let recording = Recording::read(&place.path(FILE)).unwrap();
+    (published, recording, ledger)
+}
+
+fn stamp(stamp: &mut Stamp, sent: &ipc::Sent) {
     (stamp.sequence, stamp.published_ns) = (sent.sequence, sent.published_ns);
 }
 
-pub fn reply(request: &Request) -> Reply {
+fn reply(request: &Request) -> Reply {
     Reply {
         stamp: Stamp::default(),
         id: request.id,
@@ -188,31 +206,12 @@ pub fn recorded(options: &Options, play: impl FnOnce()) -> (Ledger, Vec<Notice>)
     (ledger, notices)
 }
 
-pub struct Stopping<'a>(pub &'a AtomicBool);
+struct Stopping<'a>(&'a AtomicBool);
 
 impl Drop for Stopping<'_> {
     fn drop(&mut self) {
         self.0.store(true, Ordering::Relaxed);
     }
-}
-
-/// Python with the packages of MCAP and Foxglove, which see the recording as others do.
-pub fn python(test: &str) -> Option<PathBuf> {
-    let environment = Environment {
-        name: "python-mcap",
-        requirements: &["controller/recorder/tests/python/requirements.txt"],
-        packages: &[],
-    };
-    environment.python(test)
-}
-
-/// What `check.py` prints about these files.
-pub fn check(python: &Path, what: &str, files: &[&Path]) -> Vec<String> {
-    let program = testkit::root().join("controller/recorder/tests/python/check.py");
-    let mut command = script(python, &program);
-    let output = run(command.arg(what).args(files));
-    let text = output.unwrap_or_else(|reason| panic!("check.py {what}: {reason}"));
-    text.lines().map(str::to_owned).collect()
 }
 
 /// Equal bit for bit, NaN to NaN: by their JSON, whose exactness has a test of its own.

@@ -1,8 +1,7 @@
-//! The promises of a recording, over real shared memory. One executable: each that links iceoryx2
-//! costs up to a minute of build. A recorder that is killed is this same executable, started again.
+//! The promises of a recording, over real shared memory. A recorder that is killed or hangs is
+//! `vpcctl record`, in the tests of `vpcctl`; others who read a recording are in the target `judges`.
 
 mod fixture;
-mod interrupted;
 mod losses;
 mod masked;
 mod values;
