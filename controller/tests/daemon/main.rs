@@ -1,5 +1,4 @@
-//! The daemon over real shared memory. One executable: each that links iceoryx2 costs up to a
-//! minute of build.
+//! The daemon over real shared memory.
 
 mod allocation;
 mod delay;

@@ -3,25 +3,27 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::sync::{Mutex, OnceLock};
 
 use serde_json::Value;
 use testkit::{ended, root};
 
-/// The programs of the workspace that a plain `cargo test` builds.
-pub const BUILT: [&str; 9] = [
+/// The commands of `vpc-lab`, as cargo's aliases.
+const LAB: [&str; 4] = ["demo", "table", "laboratory", "benchmark"];
+/// The programs of the root, and these commands.
+pub const BUILT: [&str; 8] = [
     "vpcd",
     "hw-sim",
     "vpcctl",
     "vpc-memory",
-    "vpc-panda",
-    "demo",
-    "table",
-    "laboratory",
-    "benchmark",
+    LAB[0],
+    LAB[1],
+    LAB[2],
+    LAB[3],
 ];
-/// The others, which need packages that nothing else needs.
-pub const LEFT_OUT: [&str; 3] = ["vpc-camera", "vpc-calib", "vpc-ros2"];
+/// The programs of the clients' workspace.
+pub const CLIENTS: [&str; 4] = ["vpc-camera", "vpc-calib", "vpc-panda", "vpc-ros2"];
 
 /// A command, as a program of ours where it is one.
 #[derive(Clone, Debug)]
@@ -30,9 +32,29 @@ pub struct Call {
     pub arguments: Vec<String>,
     /// What cargo is asked to run it by: the words before `--`.
     cargo: Vec<String>,
+    /// Whether it is run in `ipc/clients`; `None` in a sentence, which need not say it.
+    is_of_clients: Option<bool>,
 }
 
 impl Call {
+    /// Reads the commands of a line of a shell: those between `&&`, and in `(cd ipc/clients && ...)`.
+    pub fn line(text: &str) -> Vec<Self> {
+        let (mut calls, mut is_of_clients) = (Vec::new(), false);
+        for part in text.split(" && ") {
+            if part == "(cd ipc/clients" {
+                is_of_clients = true;
+                continue;
+            }
+            let last = part.strip_suffix(')').filter(|_| is_of_clients);
+            calls.push(Self {
+                is_of_clients: Some(is_of_clients),
+                ..Self::read(last.unwrap_or(part))
+            });
+            is_of_clients &= last.is_none();
+        }
+        calls
+    }
+
     /// Reads a command. `cargo run`, `cargo demo`, `cargo table`, `cargo laboratory`,
     /// `target/release/NAME` and `sudo` are seen through.
     pub fn read(text: &str) -> Self {
@@ -44,9 +66,7 @@ impl Call {
         }
         let mut cargo = Vec::new();
         let mut program = words.remove(0);
-        if program == "cargo"
-            && ["run", "demo", "table", "laboratory", "benchmark"].contains(&&*words[0])
-        {
+        if program == "cargo" && (words[0] == "run" || LAB.contains(&&*words[0])) {
             let end = words.iter().position(|word| word == "--");
             let rest = end.map_or(Vec::new(), |end| words.split_off(end + 1));
             cargo = std::mem::replace(&mut words, rest);
@@ -59,6 +79,7 @@ impl Call {
             program,
             arguments: words,
             cargo,
+            is_of_clients: None,
         }
     }
 
@@ -70,11 +91,11 @@ impl Call {
     /// Whether all that the command names exists: package, target, test, files, and flags if it is
     /// one of these programs.
     pub fn check(&self, programs: &[&str]) -> Result<(), String> {
-        check_targets(&self.cargo)?;
+        check_targets(&self.cargo, self.is_of_clients)?;
         if self.is_one_of(programs) {
             self.check_flags()?;
         } else if self.program == "cargo" {
-            check_targets(&self.arguments)?;
+            check_targets(&self.arguments, self.is_of_clients)?;
         }
         let words: Vec<_> = std::iter::once(&self.program)
             .chain(&self.arguments)
@@ -136,26 +157,25 @@ fn words(text: &str) -> Vec<String> {
     words
 }
 
-/// A program of the workspace.
-pub fn program(name: &str) -> PathBuf {
-    match name {
-        "demo" => env!("CARGO_BIN_EXE_demo").into(),
-        "table" => env!("CARGO_BIN_EXE_table").into(),
-        "laboratory" => env!("CARGO_BIN_EXE_laboratory").into(),
-        "benchmark" => env!("CARGO_BIN_EXE_benchmark").into(),
-        name => testkit::program(name),
+/// A program of ours, or a command of `vpc-lab`.
+pub fn command(name: &str) -> Command {
+    if !LAB.contains(&name) {
+        return testkit::command(testkit::program(name));
     }
+    let mut lab = testkit::command(env!("CARGO_BIN_EXE_vpc-lab"));
+    lab.arg(name);
+    lab
 }
 
 /// The help of a program, asked once.
 fn help(name: &str, subcommand: Option<&str>) -> Result<String, String> {
     static KNOWN: Mutex<BTreeMap<String, String>> = Mutex::new(BTreeMap::new());
-    let mut command = testkit::command(program(name));
-    command.args(subcommand).arg("--help");
+    let key = format!("{name} {subcommand:?}");
     let mut known = KNOWN.lock().unwrap();
-    let help = known
-        .entry(format!("{command:?}"))
-        .or_insert_with(|| ended(command).stdout);
+    let help = known.entry(key).or_insert_with(|| {
+        let mut command = command(name);
+        ended(command.args(subcommand).arg("--help")).stdout
+    });
     match help.is_empty() {
         true => Err(format!(
             "{name} has no subcommand {}",
@@ -177,35 +197,40 @@ fn exists(word: &str) -> Result<(), String> {
     }
 }
 
-/// The packages of the workspace as cargo sees them.
-fn packages() -> &'static [Value] {
-    static METADATA: OnceLock<Value> = OnceLock::new();
-    let metadata = METADATA.get_or_init(|| {
-        let mut cargo =
-            testkit::command(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-        cargo.args([
-            "metadata",
-            "--no-deps",
-            "--offline",
-            "--format-version",
-            "1",
-        ]);
-        serde_json::from_str(&ended(cargo.current_dir(root())).stdout).unwrap()
-    });
-    metadata["packages"].as_array().unwrap()
+/// The packages of the root and of the clients, as cargo sees them.
+fn packages() -> &'static [Vec<Value>; 2] {
+    static PACKAGES: OnceLock<[Vec<Value>; 2]> = OnceLock::new();
+    PACKAGES.get_or_init(|| {
+        [".", "ipc/clients"].map(|workspace| {
+            let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
+            let mut cargo = testkit::command(cargo);
+            cargo.args(["metadata", "--no-deps", "--offline", "--format-version=1"]);
+            let said = ended(cargo.current_dir(root().join(workspace)));
+            let said: Value = serde_json::from_str(&said.stdout).unwrap();
+            said["packages"].as_array().unwrap().clone()
+        })
+    })
 }
 
-/// Package, test, bench, binary, example and filter of a cargo command.
-fn check_targets(words: &[String]) -> Result<(), String> {
+/// Package, test, bench, binary, example and filter of a cargo command in a workspace, or in either.
+fn check_targets(words: &[String], is_of_clients: Option<bool>) -> Result<(), String> {
     let end = words.iter().position(|word| word == "--");
     let (words, rest) = words.split_at(end.unwrap_or(words.len()));
     let runs_ignored = rest.iter().any(|word| word.contains("ignored"));
     let package = after(words, "-p").or(after(words, "--package"));
-    let mut within = packages()
-        .iter()
-        .filter(|p| package.is_none_or(|name| p["name"] == name));
+    let packages = || {
+        let [root, clients] = packages();
+        let (has_root, has_clients) = (is_of_clients != Some(true), is_of_clients != Some(false));
+        let root = root.iter().filter(move |_| has_root);
+        root.chain(clients.iter().filter(move |_| has_clients))
+    };
+    let named = |p: &&Value| package.is_none_or(|name| p["name"] == name);
+    let mut within = packages().filter(named);
     if within.clone().next().is_none() {
-        return Err(format!("there is no package {}", package.unwrap_or("")));
+        return Err(match is_of_clients {
+            Some(true) => format!("ipc/clients has no package {}", package.unwrap_or("")),
+            _ => format!("there is no package {} here", package.unwrap_or("")),
+        });
     }
     for kind in ["test", "bench", "example", "bin"] {
         let Some(name) = after(words, &format!("--{kind}")) else {
@@ -223,9 +248,7 @@ fn check_targets(words: &[String]) -> Result<(), String> {
         !is_value && !word.starts_with('-') && *word != "NAME"
     });
     for (_, filter) in filters.filter(|_| words[0] == "test") {
-        let named = |p: &&Value| package.is_none_or(|name| p["name"] == name);
         let sources = packages()
-            .iter()
             .filter(named)
             .flat_map(|package| sources(package, after(words, "--test")));
         let found: Vec<Test> = sources.flat_map(|path| fitting(&path, filter)).collect();
@@ -244,11 +267,24 @@ fn check_targets(words: &[String]) -> Result<(), String> {
 /// Whether `NAME`, `MODULE` or `MODULE::NAME`, as `cargo test` takes them, fits a test of a
 /// package.
 pub fn is_a_test(package: &str, filter: &str) -> Result<(), String> {
-    let package = packages().iter().find(|p| p["name"] == package).unwrap();
+    let mut packages = packages().iter().flatten();
+    let package = packages.find(|p| p["name"] == package).unwrap();
     let fits = |path: &PathBuf| !fitting(path, filter).is_empty();
     match sources(package, None).iter().any(fits) {
         true => Ok(()),
         false => Err(format!("{} has no test {filter}", package["name"])),
+    }
+}
+
+/// Whether `cargo xtask measure` has a measurement whose name begins so.
+pub fn is_measured(name: &str) -> Result<(), String> {
+    let mut sources = Vec::new();
+    gather(&root().join("tests/tests/measure"), &mut sources);
+    let begin = format!("\"{name}");
+    let is_it = |path: &PathBuf| std::fs::read_to_string(path).unwrap().contains(&begin);
+    match sources.iter().any(is_it) {
+        true => Ok(()),
+        false => Err(format!("there is no measurement {name}")),
     }
 }
 

@@ -1,16 +1,19 @@
-//! The documents are true: links lead somewhere, what commands name exists, the commands of the
-//! READMEs run, the configuration reference matches the code, and the book has every page.
+//! The documents are true: links lead somewhere, what commands name exists, commands that need no
+//! real time run, and the configuration reference matches the code. What needs other programs or
+//! real time is in `tests/judges/documents.rs`.
 
-mod book;
 mod call;
+mod commands;
 mod markdown;
 mod reference;
 mod session;
 
 use std::path::{Path, PathBuf};
 
-use call::{BUILT, Call, LEFT_OUT, is_a_test};
+use call::{BUILT, is_a_test, is_measured};
+use commands::check_commands;
 use markdown::documents;
+use session::{SCENE, SMALL, Session};
 use testkit::root;
 
 #[test]
@@ -45,44 +48,9 @@ fn every_link_leads_to_a_file_and_to_a_heading_of_it() {
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
-/// Checks the commands of all documents that pass `is_checked`, with the flags of these programs;
-/// at least `least` are there.
-fn check_commands(programs: &[&str], is_checked: impl Fn(&Call) -> bool, least: usize) {
-    let mut faults = Vec::new();
-    let mut count = 0;
-    let own = [&BUILT[..], &LEFT_OUT, &["cargo"]].concat();
-    for document in documents() {
-        let mut pieces = document.commands();
-        let code = document.inline_code().into_iter();
-        // With an ellipsis it is a sketch.
-        pieces.extend(code.filter(|code| {
-            let first = code.text.split_once(' ').map(|(first, _)| first);
-            first.is_some_and(|first| own.contains(&first)) && !code.text.contains("...")
-        }));
-        for piece in pieces {
-            let calls = piece.text.split(" && ").map(Call::read);
-            for call in calls.filter(&is_checked) {
-                count += 1;
-                if let Err(fault) = call.check(programs) {
-                    faults.push(format!("{}: {}: {fault}", piece.place, piece.text));
-                }
-            }
-        }
-    }
-    assert!(count > least, "{count}");
-    assert!(faults.is_empty(), "{}", faults.join("\n"));
-}
-
 #[test]
 fn commands_name_what_exists() {
     check_commands(&BUILT, |_| true, 60);
-}
-
-/// `.ci/run` builds these programs.
-#[test]
-#[ignore = "needs vpc-camera, vpc-calib and vpc-ros2"]
-fn commands_of_camera_calibration_and_gateway_name_what_exists() {
-    check_commands(&LEFT_OUT, |call| call.is_one_of(&LEFT_OUT), 10);
 }
 
 #[test]
@@ -127,9 +95,53 @@ fn every_promise_names_its_test() {
         let column = row.split(" | ").nth(1).unwrap();
         let names = column.split('`').skip(1).step_by(2);
         for name in names.filter(|name| !name.starts_with("cargo")) {
-            is_a_test("system-tests", name).unwrap();
+            match name.strip_prefix("measure ") {
+                Some(name) => is_measured(name).unwrap(),
+                None => is_a_test("system-tests", name).unwrap(),
+            }
             count += 1;
         }
     }
     assert!(count > 15, "{count}");
+}
+
+#[test]
+fn every_bound_holds_at_run_time() {
+    reference::cases();
+}
+
+#[test]
+fn the_files_that_ship_show_every_key_with_its_default() {
+    reference::check_shipped_files();
+}
+
+#[test]
+fn the_commands_of_the_readme_run() {
+    let readme = Session::of("README.md");
+    let small = "--memory memory-blob/default/paper-sim.vpcmem --strategies gpr:3 --repeats 1";
+    readme.run("table --scene", &[("", small)]);
+    let file = ("FILE", "small.vpcmem");
+    readme.run("vpc-memory build SCENE.toml", &[SCENE, file, ("", SMALL)]);
+    readme.run("vpc-memory inspect FILE", &[file]);
+    readme.run("vpc-memory verify FILE", &[SCENE, file]);
+}
+
+#[test]
+fn the_commands_of_the_emulators_readme_run() {
+    let readme = Session::of("hw-sim/README.md");
+    // One start of one strategy instead of 200 runs.
+    let few = [("previous:3,gpr:3,foresight:3", "gpr:3"), ("", "--only 0")];
+    readme.run("table --robot panda", &few);
+}
+
+#[test]
+fn the_guide_to_a_task_of_ones_own_runs() {
+    let guide = Session::of("memory-blob/GUIDE.md");
+    guide.makes_a_task();
+    guide.run("vpc-memory starts own/painted.toml", &[("50", "5")]);
+    guide.run("table --scene own/painted.toml", &[("", "--repeats 1")]);
+    for (path, text) in guide.document.files() {
+        std::fs::write(guide.place.path(path), text).unwrap();
+    }
+    guide.run("vpcd --config own/vpcd.toml", &[("", "--print-config")]);
 }

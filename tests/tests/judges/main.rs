@@ -1,8 +1,25 @@
 //! Judges from outside: other libraries and a real robot say where the joints of an arm file put
 //! the camera, and how far its links are apart; pictures of real cameras where its tags are; other
-//! simulators whether their arms arrive.
+//! simulators whether their arms arrive. Other programs judge the documents, too, and what they say
+//! runs in real time.
 
+mod book;
+#[allow(dead_code, reason = "`documents` has all of it")]
+#[path = "../documents/call.rs"]
+mod call;
+#[path = "../documents/commands.rs"]
+mod commands;
+mod documents;
+#[allow(dead_code, reason = "`documents` has all of it")]
+#[path = "../documents/markdown.rs"]
+mod markdown;
 mod pictures;
+#[allow(dead_code, reason = "`documents` has all of it")]
+#[path = "../documents/reference.rs"]
+mod reference;
+#[allow(dead_code, reason = "`documents` has all of it")]
+#[path = "../documents/session.rs"]
+mod session;
 mod worlds;
 
 use std::collections::BTreeMap;

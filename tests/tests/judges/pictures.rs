@@ -69,7 +69,7 @@ fn motion(frames: &[Frame]) -> [f64; 2] {
     [moved[moved.len() / 2], moved[moved.len() - 1]]
 }
 
-/// What `cargo judge` says of a folder.
+/// What the example `judge` of vpc-camera says of a folder.
 fn judged(folder: &Path, tags: &str, flags: &[&str]) -> Vec<Found> {
     let mut judge = testkit::command(program("examples/judge"));
     judge.args(["--json", "--tags", tags]).args(flags);

@@ -1,5 +1,5 @@
 //! Judges the detector by the pictures of a folder, beside AprilTag 3 and OpenCV:
-//! `cargo judge -- FOLDER --tags 0,1,2,3`
+//! `cargo run --release --example judge -- FOLDER --tags 0,1,2,3`, in `ipc/clients`
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

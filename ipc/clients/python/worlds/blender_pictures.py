@@ -5,7 +5,7 @@
     S=ipc/scene/scenes/tags-robot
     vpc-camera tags $S.toml -o tags.svg
     python3 ipc/clients/python/worlds/blender_pictures.py --scene $S.toml --starts $S-starts.csv --tags tags.svg FOLDER
-    cargo judge FOLDER --json | python3 ipc/clients/python/worlds/blender_pictures.py FOLDER
+    (cd ipc/clients && cargo run --release --example judge -- FOLDER --json) | python3 ipc/clients/python/worlds/blender_pictures.py FOLDER
 
 The first call writes FOLDER/00.png and so on, and to FOLDER/truth.json where the tags' centres are; the second compares.
 """
@@ -149,7 +149,7 @@ def render(arguments, scene):
 
 
 def compare(arguments):
-    """What each detector of `cargo judge --json` on standard input missed."""
+    """What each detector of `judge --json` on standard input missed."""
     truth = json.loads((pathlib.Path(arguments.folder) / "truth.json").read_text())
     for line in sys.stdin:
         if not line.startswith("{"):

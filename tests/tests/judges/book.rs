@@ -5,7 +5,7 @@ use testkit::{ended, program};
 use crate::markdown::documents;
 
 #[test]
-#[ignore = "needs mdbook: CI runs it"]
+#[ignore = "long: mdBook makes the book"]
 fn the_book_has_every_document_and_what_they_link_to() {
     let place = tempfile::tempdir().unwrap();
     let book = place.path().join("book");
@@ -30,7 +30,7 @@ fn the_book_has_every_document_and_what_they_link_to() {
 }
 
 #[test]
-#[ignore = "needs mdbook: CI runs it"]
+#[ignore = "long: mdBook makes the book"]
 fn the_book_may_have_the_libraries() {
     let place = tempfile::tempdir().unwrap();
     let mut xtask = testkit::command(program("xtask"));
@@ -43,7 +43,7 @@ fn the_book_may_have_the_libraries() {
 }
 
 #[test]
-#[ignore = "needs mdbook: CI runs it"]
+#[ignore = "long: mdBook makes the book"]
 fn the_book_replaces_nothing_but_a_book() {
     let place = tempfile::tempdir().unwrap();
     let file = place.path().join("mine.txt");
