@@ -1,21 +1,15 @@
-//! Hostile input: messages of random bytes, floods, subscribers that never read, peers that come
-//! and go. No panic, no command outside the limits, no more missed releases than without.
+//! Random messages to the daemon: no panic, and no command outside the limits. Floods are measured
+//! (`tests/measure`).
 
 use std::f64::consts::TAU;
-use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use anyhow::ensure;
-use ipc::{CameraPorts, Domain, Observer, OperatorPorts, RobotPorts, now_ns};
-use messages::{Features, Request, RobotState, Stamp};
+use ipc::{CameraPorts, Domain, OperatorPorts, RobotPorts, now_ns};
+use messages::{Features, Request, RobotState, Stamp, TwistCommand};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::fixture::{
-    EndOnDrop, Place, Running, Witness, assert_within_limits, repeats, tell, turn,
-};
-use crate::stall::fairly;
+use crate::fixture::{PATIENCE, Place, Running, assert_within_limits, eventually, repeats, tell};
 
 /// A number that is likely to cause a failure.
 fn nasty(random: &mut impl Rng) -> f64 {
@@ -111,8 +105,7 @@ fn nasty_request(id: u64, random: &mut impl Rng) -> Request {
 }
 
 #[test]
-fn random_messages_never_panic_and_never_move_beyond_the_limits() {
-    let _turn = turn();
+fn random_messages_never_move_beyond_the_limits() {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
@@ -124,9 +117,20 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
         place.vpcd("[law]\nforesight_steps = 5\n[cycle]\nclock = 'lockstep'\n[log]\nlevel = 'off'");
     command.stderr(std::process::Stdio::piped());
     let mut daemon = Running::start(command);
-    let (mut answered, mut moving) = (0_u64, 0_u64);
-    let messages = repeats("fuzzed messages", 10_000, 1_000_000) as u64;
-    for sequence in 1..=messages {
+    let mut sequence = 0;
+    eventually("the first answer", || {
+        sequence += 1;
+        let mut features = Features::new(&quadrangle(&mut random), now_ns());
+        features.stamp.sequence = sequence;
+        features.stamp.published_ns = now_ns();
+        camera.features.publish_verbatim(&features).unwrap();
+        camera.features.refresh().unwrap();
+        std::thread::sleep(Duration::from_millis(10));
+        camera.twist.latest().unwrap()
+    });
+    let mut moving = 0_u64;
+    let messages = repeats("fuzzed messages", 3_000, 1_000_000) as u64;
+    for sequence in sequence + 1..=sequence + messages {
         let features = nasty_features(sequence, &mut random);
         camera.features.publish_verbatim(&features).unwrap();
         if sequence % 4 == 0 {
@@ -136,138 +140,32 @@ fn random_messages_never_panic_and_never_move_beyond_the_limits() {
             operator.requests.publish_verbatim(&request).unwrap();
             while let Ok(Some(_)) = operator.replies.oldest() {}
         }
-        // An answer, soon; what looks like a repetition gets none.
-        let patience = now_ns()
-            + if sequence < 100 {
-                3_000_000_000
-            } else {
-                300_000
-            };
-        while now_ns() < patience {
-            camera.features.refresh().unwrap();
-            let Some(twist) = camera.twist.oldest().unwrap() else {
-                std::hint::spin_loop();
-                continue;
-            };
-            assert_within_limits(&twist);
-            assert!(twist.twist.iter().all(|v| v.is_finite()), "{twist:?}");
-            answered += 1;
-            moving += u64::from(twist.twist != [0.0; 6]);
-            break;
-        }
+        // In lockstep each message has one answer.
+        let twist = answer(&mut camera);
+        assert_within_limits(&twist);
+        assert!(twist.twist.iter().all(|v| v.is_finite()), "{twist:?}");
+        moving += u64::from(twist.twist != [0.0; 6]);
     }
     assert!(daemon.is_running());
-    tell(format!(
-        "{messages} messages: {answered} answers, {moving} of them moving"
-    ));
+    tell(format!("{messages} messages: {moving} answers move"));
     // Not for want of work. One in ten moves or so: the others are answered disarmed, until
     // somebody arms again.
-    assert!(
-        answered > messages / 2 && moving > messages / 20,
-        "{answered} {moving}"
-    );
+    assert!(moving > messages / 20, "{moving}");
     daemon.signal(rustix::process::Signal::TERM);
     let ended = daemon.ended();
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(!ended.stderr.contains("panicked"), "{ended:?}");
 }
 
-/// A camera at its rate, for a daemon on the fixed clock.
-fn film(place: &Path, rate_hz: f64, end: &AtomicBool) {
-    let domain = Domain::join(place).unwrap();
-    let mut camera = CameraPorts::open(&domain).unwrap();
-    let far = [
-        [250.0, 250.0],
-        [420.0, 260.0],
-        [410.0, 430.0],
-        [240.0, 420.0],
-    ];
-    let mut random = ChaCha8Rng::seed_from_u64(4);
-    while !end.load(Ordering::Relaxed) {
-        // Real images are never the same.
-        let points = far.map(|point| point.map(|x| x + random.random_range(-0.1..0.1)));
-        camera
-            .features
-            .publish(&Features::new(&points, now_ns()))
-            .unwrap();
-        std::thread::sleep(Duration::from_secs_f64(1.0 / rate_hz));
-    }
-}
-
-/// Operators who ask without a pause.
-fn flood(place: &Path, end: &AtomicBool) {
-    let domain = Domain::join(place).unwrap();
-    let mut operator = OperatorPorts::open(&domain).unwrap();
-    let mut id = 0;
-    while !end.load(Ordering::Relaxed) {
-        id += 1;
-        let request = Request::new(id, messages::Action::Status);
-        operator.requests.publish(&request).unwrap();
-        // A processor of its own it does not get.
-        if id % 64 == 0 {
-            std::thread::sleep(Duration::from_millis(1));
+/// Waits for the answer to the last message.
+fn answer(camera: &mut CameraPorts) -> TwistCommand {
+    let begin = Instant::now();
+    loop {
+        camera.features.refresh().unwrap();
+        if let Some(twist) = camera.twist.oldest().unwrap() {
+            return twist.message;
         }
+        assert!(begin.elapsed() < PATIENCE, "no answer");
+        std::hint::spin_loop();
     }
-}
-
-/// Peers that come and go.
-fn churn(place: &Path, end: &AtomicBool) {
-    while !end.load(Ordering::Relaxed) {
-        let domain = Domain::join(place).unwrap();
-        // Where all places are taken it is refused: as good as a visit.
-        let _ = Observer::open(&domain);
-    }
-}
-
-/// Releases missed in some seconds, with or without an attack.
-fn misses(is_attacked: bool, seconds: u64) -> (u64, u64) {
-    let place = Place::new();
-    let mut witness = Witness::new(&place);
-    let daemon =
-        Running::start(place.vpcd("[law]\nstrategy = 'previous'\n[safety]\nrobot = 'optional'"));
-    let end = AtomicBool::new(false);
-    let domain = place.domain();
-    let counts = std::thread::scope(|threads| {
-        let _end = EndOnDrop(&end);
-        let (domain, end) = (&domain, &end);
-        threads.spawn(move || film(domain, 30.0, end));
-        witness.set_in_motion();
-        // Never read: hoards whatever is sent.
-        let hoarders: Vec<_> = if is_attacked {
-            threads.spawn(move || flood(domain, end));
-            threads.spawn(move || churn(domain, end));
-            let domain = Domain::join(domain).unwrap();
-            (0..3).map_while(|_| Observer::open(&domain).ok()).collect()
-        } else {
-            Vec::new()
-        };
-        witness.records();
-        let mut records = Vec::new();
-        for _ in 0..seconds {
-            // Half a minute of records waits at most.
-            std::thread::sleep(Duration::from_secs(1));
-            records.extend(witness.records());
-        }
-        drop(hoarders);
-        let (first, last) = (records.first().unwrap(), records.last().unwrap());
-        (last.cycle - first.cycle, last.overruns - first.overruns)
-    });
-    daemon.kill();
-    counts
-}
-
-#[test]
-fn floods_hoarders_and_churn_cost_no_release() {
-    let _turn = turn();
-    let seconds = repeats("seconds of flood", 2, 60) as u64;
-    fairly("floods", || {
-        let (cycles, baseline) = misses(false, seconds);
-        let (cycles_attacked, attacked) = misses(true, seconds);
-        tell(format!(
-            "missed releases: {baseline} of {cycles} in peace, {attacked} of {cycles_attacked} under attack"
-        ));
-        ensure!(cycles_attacked as f64 > 0.9 * 30.0 * seconds as f64);
-        ensure!(attacked <= baseline, "{attacked} > {baseline}");
-        Ok(())
-    });
 }

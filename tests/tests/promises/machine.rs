@@ -1,6 +1,5 @@
 //! What this machine permits and has, for the promises about time.
 
-use std::os::fd::AsRawFd;
 use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
@@ -8,7 +7,7 @@ use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use serde_json::Value;
 
-use crate::fixture::{are_installed, not_run, program};
+use crate::fixture::{are_installed, program};
 
 /// Whether real time is ours to take: SCHED_FIFO and locked memory, as `vpcd --preflight` finds.
 pub fn may_be_real_time() -> bool {
@@ -25,19 +24,6 @@ fn may_be_real_time_now() -> bool {
         let mut checks = found["checks"].as_array().unwrap().iter();
         checks.any(|check| check["name"] == *name && check["state"] == "ok")
     })
-}
-
-/// Whether a process may take one of two processors in real time; reports `what` as not run where
-/// not.
-pub fn may_have_a_processor(what: &str) -> bool {
-    let may = processors().len() >= 2 && may_be_real_time();
-    if !may {
-        not_run(
-            what,
-            "needs two processors and the right to real time (vpcd --preflight)",
-        );
-    }
-    may
 }
 
 /// Gives the calling thread SCHED_FIFO at this priority, or with 0 the ordinary scheduler; whether
@@ -91,42 +77,4 @@ pub fn on_time(command: Command, priority: i32) -> Command {
 /// Whether a mechanism is switched off by `VPC_WITHOUT`, to see the tests of it fail.
 pub fn is_without(mechanism: &str) -> bool {
     std::env::var("VPC_WITHOUT").is_ok_and(|without| without == mechanism)
-}
-
-/// Asks the kernel to take away all the memory of a process that it may take, as it does when
-/// memory is short: what is not locked must be faulted in again. Tells how many bytes the kernel
-/// looked at.
-pub fn press_out(pid: u32) -> u64 {
-    let maps = std::fs::read_to_string(format!("/proc/{pid}/maps")).unwrap();
-    let ranges: Vec<libc::iovec> = maps
-        .lines()
-        .filter_map(|line| {
-            let (start, end) = line.split_once(' ')?.0.split_once('-')?;
-            let start = usize::from_str_radix(start, 16).ok()?;
-            let end = usize::from_str_radix(end, 16).ok()?;
-            Some(libc::iovec {
-                iov_base: start as *mut libc::c_void,
-                iov_len: end - start,
-            })
-        })
-        .collect();
-    let pid = rustix::process::Pid::from_raw(pid as i32).unwrap();
-    let process = rustix::process::pidfd_open(pid, rustix::process::PidfdFlags::empty()).unwrap();
-    let ask = |range: &libc::iovec| {
-        // SAFETY: the pointer is to one live range; the addresses are of the other process, whose
-        // memory keeps its contents: a hint to the kernel.
-        let bytes = unsafe {
-            libc::syscall(
-                libc::SYS_process_madvise,
-                process.as_raw_fd(),
-                std::ptr::from_ref(range),
-                1,
-                libc::MADV_PAGEOUT,
-                0,
-            )
-        };
-        // Refused for locked and for special memory.
-        u64::try_from(bytes).unwrap_or(0)
-    };
-    ranges.iter().map(ask).sum()
 }

@@ -8,46 +8,33 @@
 //! tests at full length; without it they are short enough for CI, and print that.
 
 mod bounded;
-mod bridge;
 mod camera;
-mod clients;
 mod clock;
 mod configuration;
 mod consent;
-mod damage;
 mod deadlines;
 mod delay;
 mod failures;
-mod families;
-mod faultless;
 mod fixture;
 mod follow;
 mod foresight;
 mod goals;
 mod guardian;
-mod hands;
-mod hang;
 mod hostile;
 mod inputs;
+#[path = "../measure/load.rs"]
 mod load;
-mod logging;
 mod machine;
 mod memory;
-mod onlookers;
-mod orphans;
-mod own_robot;
+#[allow(dead_code, reason = "`measure` uses the rest")]
+#[path = "../measure/paced.rs"]
 mod paced;
-mod peers;
-mod phase;
-mod recipe;
-mod refit;
+#[allow(dead_code, reason = "`measure` uses the rest")]
+#[path = "../measure/reference.rs"]
+mod reference;
 mod replay;
 mod shutdown;
 mod silence;
-mod soak;
 mod stall;
-mod startup;
 mod steps;
-mod stop;
-mod stopping;
 mod watch;

@@ -11,6 +11,7 @@ mod configuration;
 mod contract;
 mod doc;
 mod gallery;
+mod measure;
 mod python;
 mod release;
 mod stage;
@@ -98,6 +99,14 @@ enum Command {
     Clients,
     /// Let programs and data of others judge ours
     Judges,
+    /// Measure what needs the wall clock, on this machine
+    Measure {
+        /// Those whose name has one of these words [default: all]
+        names: Vec<String>,
+        /// At full length, with those that take an hour
+        #[arg(long)]
+        long: bool,
+    },
     /// Run what takes long: installations, every test at full length
     Long,
     /// Write the files that are made from the code
@@ -151,6 +160,7 @@ fn main() -> anyhow::Result<()> {
         Command::Unprivileged => stage::unprivileged(),
         Command::Clients => stage::clients(),
         Command::Judges => stage::judges(),
+        Command::Measure { names, long } => measure::measure(&names, long),
         Command::Long => stage::long(),
         Command::Codegen { check } => codegen(check),
         Command::Book { directory, api } => book::book(&directory, api),

@@ -6,11 +6,14 @@ use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Stdio};
 
-use ipc::{Domain, Observer};
+use ipc::{Domain, Observer, now_ns};
 use rustix::process::{Pid, Signal, kill_process_group};
 use scene::Scene;
 
-use crate::fixture::{Ended, Place, ended, eventually, program, root, turn};
+use crate::fixture::{Ended, Place, ended, eventually, program, root};
+use crate::judge::Miss;
+use crate::reference::Class;
+use crate::sheet::Sheet;
 
 /// A line of a shell, with everything that it starts; ended as a whole.
 struct Line(Child);
@@ -56,9 +59,12 @@ fn goal(folder: &Path) -> [f64; 3] {
     Scene::parse(&text, "scene.toml").unwrap().goal.translation
 }
 
-#[test]
-fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
-    let _turn = turn();
+/// Measures.
+pub fn measure(sheet: &mut Sheet) {
+    sheet.round(&[Class::Ordinary], "the recipe", follow);
+}
+
+fn follow() -> anyhow::Result<()> {
     // The line finds these by their names.
     for name in ["hw-sim", "vpc-panda"] {
         assert!(program(name).exists());
@@ -98,12 +104,21 @@ fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
         let words = [&["--domain", domain], words].concat();
         run("vpcctl", &words, &folder)
     };
-    eventually("motion", || {
-        // Again and again: a busy machine may disarm it.
-        ask(&["arm"]);
+    eventually("arming", || (ask(&["arm"]).code == Some(0)).then_some(()));
+    let armed_ns = now_ns();
+    // Whether a late machine disarmed it, from the instant at which it was armed.
+    let disarmed = |from_ns| {
+        let state = place.state();
+        let miss = || Miss::upset(state.clone(), Class::Ordinary, from_ns, now_ns());
+        state.starts_with("disarmed").then(miss)
+    };
+    let moved = eventually("motion", || {
         let newest = observer.robot.latest().unwrap();
-        newest.filter(|state| state.twist.iter().any(|v| v.abs() > 1e-3))
+        let moves = newest.is_some_and(|state| state.twist.iter().any(|v| v.abs() > 1e-3));
+        let miss = disarmed(armed_ns);
+        moves.then_some(None).or(miss.map(Some))
     });
+    moved.map_or(Ok(()), Err)?;
     let found = ask(&["doctor"]).stdout;
     assert!(found.contains("ok    robot"), "{found}");
     let said = ask(&["flight", "--timeout", "20"]).stdout;
@@ -122,13 +137,13 @@ fn the_recipe_of_a_real_robot_runs_in_its_folder_without_one() {
     let moved = goal(&folder).into_iter().zip(old).map(|(a, b)| a - b);
     let moved = moved.fold(0.0, |norm: f64, x| norm.hypot(x));
     assert!(moved > 0.01, "{moved} m");
-    eventually("arrival", || {
+    let armed_ns = now_ns();
+    let arrived = eventually("arrival", || {
         let is_there = ask(&["status"]).stdout.contains("arrived");
-        // A busy machine may disarm it.
-        is_there.then_some(()).or_else(|| {
-            ask(&["arm"]);
-            None
-        })
+        let miss = disarmed(armed_ns);
+        is_there.then_some(None).or(miss.map(Some))
     });
+    arrived.map_or(Ok(()), Err)?;
     drop(running);
+    Ok(())
 }

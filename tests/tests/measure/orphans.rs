@@ -12,13 +12,16 @@ use std::time::{Duration, Instant};
 
 use ipc::{Domain, shared_memory_prefix};
 use rustix::process::{Pid, Signal, kill_process};
+use testkit::within;
 
-use crate::fixture::{
-    PATIENCE, Place, Running, eventually, program, scene_file, tell, turn, within,
-};
+use crate::fixture::{PATIENCE, Place, Running, eventually, program, scene_file};
+use crate::reference::Class;
+use crate::sheet::Sheet;
 
 /// Environment variable that all descendants of a program inherit.
 const MARK: &str = "VPC_ORPHANS_OF";
+/// The demo, and its word.
+const DEMO: [&str; 2] = [env!("CARGO_BIN_EXE_vpc-lab"), "demo"];
 /// Longest time for the pair to run: `cargo build` may have something to do.
 const BUILD: Duration = Duration::from_secs(300);
 
@@ -127,11 +130,12 @@ fn segments(prefixes: &[String]) -> usize {
         .count()
 }
 
-/// Stops a program while its pairs run, by each signal.
-fn leaves_nothing(program: &str, arguments: &[&str]) {
-    let name = Path::new(program).file_name().unwrap().display();
-    for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
-        let mut parent = Parent::start(program, arguments, None);
+/// Stops the demo by this signal while its pairs run: how long until it had ended, and its last
+/// child, ms.
+fn leaves_nothing(signal: Signal) -> [f64; 2] {
+    let name = "demo";
+    {
+        let mut parent = Parent::start(DEMO[0], &[DEMO[1], "--no-progress"], None);
         parent.runs(&["vpcd", "hw-sim"]);
         std::thread::sleep(Duration::from_millis(300));
         let prefixes = eventually("the pair's shared memory", || {
@@ -158,45 +162,59 @@ fn leaves_nothing(program: &str, arguments: &[&str]) {
             let is_ours = |name: &std::ffi::OsString| name.as_bytes().starts_with(b"vpc-");
             assert!(!left.iter().any(is_ours), "{name}, {signal:?}: {left:?}");
         }
-        tell(format!(
-            "{name}, {signal:?}: ended after {} ms, its {} children after {} ms; segments left: {}",
-            ended.as_millis(),
-            before.len() - 1,
-            begin.elapsed().as_millis(),
-            segments(&prefixes),
-        ));
+        [ended, begin.elapsed()].map(|time| time.as_secs_f64() * 1e3)
     }
 }
 
-#[test]
-fn the_demo_leaves_nothing_behind() {
-    let _turn = turn();
-    program("vpcd");
-    leaves_nothing(env!("CARGO_BIN_EXE_vpc-lab"), &["demo", "--no-progress"]);
+/// Measures.
+pub fn measure(sheet: &mut Sheet) {
+    for name in ["vpcd", "hw-sim"] {
+        program(name);
+    }
+    for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
+        let what = format!("demo, {signal:?}");
+        let ended = sheet.round(&[Class::Ordinary], &what, || Ok(leaves_nothing(signal)));
+        if let Some([ended, left]) = ended {
+            sheet.figure(&format!("{what}: ended after"), ended, "ms");
+            sheet.figure(&format!("{what}: children after"), left, "ms");
+        }
+    }
+    let cases: [(&str, fn()); 2] = [
+        ("a build ends with its compilers", build_ends),
+        ("what outlives a terminal", outlives_a_terminal),
+    ];
+    for (what, case) in cases {
+        sheet.round(&[Class::Ordinary], what, || {
+            case();
+            Ok(())
+        });
+    }
+    for signal in [Signal::ABORT, Signal::KILL] {
+        let what = format!("a harness, {signal:?}");
+        let left = sheet.round(&[Class::Ordinary], &what, || Ok(harness_leaves(signal)));
+        if let Some(ms) = left {
+            sheet.figure(&format!("{what}: children after"), ms, "ms");
+        }
+    }
 }
 
-#[test]
-fn a_build_ends_with_its_compilers() {
-    let _turn = turn();
+fn build_ends() {
     let place = Place::new();
     // It does what cargo does while it compiles.
     let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
     fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
-    let mut parent = Parent::start(env!("CARGO_BIN_EXE_vpc-lab"), &["demo"], Some(&cargo));
+    let mut parent = Parent::start(DEMO[0], &[DEMO[1]], Some(&cargo));
     parent.runs(&["cargo", "sleep"]);
     let status = parent.ends_by(Signal::TERM);
     assert_eq!(status.signal(), Some(Signal::TERM.as_raw()), "{status}");
     assert_eq!(parent.family(), []);
 }
 
-#[test]
-fn what_was_started_to_outlive_a_terminal_does() {
-    let _turn = turn();
+fn outlives_a_terminal() {
     let place = Place::new();
     let cargo = place.file("cargo", "#!/bin/sh\nsleep 600 &\nwait\n");
     fs::set_permissions(&cargo, fs::Permissions::from_mode(0o700)).unwrap();
-    let words = [env!("CARGO_BIN_EXE_vpc-lab"), "demo"];
-    let mut parent = Parent::start("nohup", &words, Some(&cargo));
+    let mut parent = Parent::start("nohup", &DEMO, Some(&cargo));
     parent.runs(&["cargo", "sleep"]);
     kill_process(Pid::from_child(&parent.child), Signal::HUP).unwrap();
     // The next signal is not heard before the first one.
@@ -212,13 +230,13 @@ const ROLE: &str = "VPC_TEST_ROLE";
 /// File that tells the harness to abort.
 const ABORT: &str = "abort";
 
-#[test]
-#[ignore = "not a test: the harness that aborts or is killed"]
-fn play_a_harness() {
-    // Among all ignored tests it does nothing.
-    if std::env::var_os(ROLE).is_none() {
-        return;
-    }
+/// Whether this process plays a harness.
+pub fn is_harness() -> bool {
+    std::env::var_os(ROLE).is_some()
+}
+
+/// The harness, which aborts or is killed.
+pub fn play_a_harness() -> ! {
     let daemon = || {
         let place = Place::new();
         let mut vpcd = testkit::command(program("vpcd"));
@@ -240,47 +258,28 @@ fn play_a_harness() {
     std::process::abort();
 }
 
-#[test]
-fn a_test_harness_leaves_no_process_behind() {
-    let _turn = turn();
-    program("vpcd");
-    program("hw-sim");
+/// Ends a harness by this signal: how long until none of its children was left, ms.
+fn harness_leaves(signal: Signal) -> f64 {
     let this = std::env::current_exe().unwrap();
-    let (role, this) = (format!("{ROLE}=harness"), this.to_str().unwrap());
-    let words = [
-        &role,
-        this,
-        "--exact",
-        "orphans::play_a_harness",
-        "--ignored",
-    ];
-    for signal in [Signal::ABORT, Signal::KILL] {
-        let mut parent = Parent::start("env", &words, None);
-        parent.runs(&["vpcd", "hw-sim", "sleep"]);
-        let before = eventually("all daemons", || {
-            let family = parent.family();
-            let daemons = family.iter().filter(|(_, name)| name == "vpcd").count();
-            (daemons == DAEMONS).then_some(family)
-        });
-        let begin = Instant::now();
-        let status = match signal {
-            Signal::KILL => parent.ends_by(signal),
-            _ => {
-                parent.place.file(ABORT, "");
-                eventually("the abort", || parent.child.try_wait().unwrap())
-            }
-        };
-        assert_eq!(status.signal(), Some(signal.as_raw()), "{status}");
-        let mut left = Vec::new();
-        within(PATIENCE, || {
-            left = parent.family();
-            left.is_empty().then_some(())
-        });
-        assert_eq!(left, [], "{signal:?}, of {before:?}");
-        tell(format!(
-            "a harness, {signal:?}: of its {} children none is left after {} ms",
-            before.len() - 1,
-            begin.elapsed().as_millis(),
-        ));
-    }
+    let role = format!("{ROLE}=harness");
+    let mut parent = Parent::start("env", &[&role, this.to_str().unwrap()], None);
+    parent.runs(&["vpcd", "hw-sim", "sleep"]);
+    eventually("all daemons", || {
+        let family = parent.family();
+        let daemons = family.iter().filter(|(_, name)| name == "vpcd").count();
+        (daemons == DAEMONS).then_some(())
+    });
+    let begin = Instant::now();
+    let status = match signal {
+        Signal::KILL => parent.ends_by(signal),
+        _ => {
+            parent.place.file(ABORT, "");
+            eventually("the abort", || parent.child.try_wait().unwrap())
+        }
+    };
+    assert_eq!(status.signal(), Some(signal.as_raw()), "{status}");
+    eventually("the end of its children", || {
+        parent.family().is_empty().then_some(())
+    });
+    begin.elapsed().as_secs_f64() * 1e3
 }

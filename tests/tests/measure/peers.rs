@@ -12,13 +12,17 @@ use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
 
 use crate::fixture::{
-    PERIOD_NS, Place, Running, Stage, WAKE_NS, Witness, eventually, is_still, program, repeats,
-    some_time, tell, turn,
+    PERIOD_NS, Place, Running, Stage, WAKE_NS, Witness, classes, eventually, is_still, some_time,
 };
-use crate::stall::{fairly, in_time};
+use crate::judge::in_time;
+use crate::reference::Class;
+use crate::sheet::Sheet;
 
 /// Longest time until a peer that came back is heard, ns.
 const RECONNECT_NS: u64 = 500_000_000;
+/// From the kill of the daemon to standstill, ns, and from the start of the next to its commands.
+const STANDS_NS: u64 = 100_000_000 + WAKE_NS;
+const COMMANDS_NS: u64 = 1_000_000_000;
 
 /// Open files of a process.
 fn descriptors(id: u32) -> usize {
@@ -44,18 +48,32 @@ fn visit(
         twist.features_published_ns >= published
     });
     let answer_ns = answered.last().unwrap().stamp.published_ns;
-    let took = in_time("the camera is answered", published, answer_ns, RECONNECT_NS)?;
+    let took = in_time(
+        "the camera is answered",
+        Class::of_vpcd(),
+        published,
+        answer_ns,
+        RECONNECT_NS,
+    )?;
     // A client, after the one that was killed: from its joining to its answer.
     let came = now_ns();
     let mut client = Witness::new(place);
     assert_eq!(client.ask(Action::Status), Outcome::Done);
     drop(client);
-    let answered = in_time("a client is answered", came, now_ns(), RECONNECT_NS)?;
-    witness.set_in_motion();
+    let answered = in_time(
+        "a client is answered",
+        Class::Ordinary,
+        came,
+        now_ns(),
+        RECONNECT_NS,
+    )?;
+    witness.set_in_motion()?;
     // A client that is killed while it joins, asks or leaves, before the camera or after it.
-    let mut client = testkit::command(program("vpcctl"));
-    client.arg("--domain").arg(place.domain()).arg("status");
-    client.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut client = place.vpcctl();
+    client
+        .arg("status")
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
     let mut camera = Some(camera);
     if round.is_multiple_of(2) {
         drop(camera.take());
@@ -70,59 +88,50 @@ fn visit(
     Ok(took.max(answered))
 }
 
-#[test]
-#[ignore = "a quarter of a minute: CI runs it in a line of its own"]
-fn killed_peers_come_back_and_leave_nothing_behind() {
-    let _turn = turn();
+/// Measures cameras and clients that are killed.
+pub fn measure_killed(sheet: &mut Sheet) {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let place = Place::new();
     let mut witness = Witness::new(&place);
     let mut daemon = Running::start(place.vpcd(""));
     let mut plateau = None;
-    let rounds = repeats("kill -9 of camera and client in turn", 20, 100);
-    let mut worst = 0;
+    let rounds = sheet.repeats(20, 100);
     for round in 0..rounds {
-        worst = worst.max(fairly(&format!("round {round}"), || {
+        let what = format!("round {round}");
+        let visited = sheet.round(&classes(), &what, || {
             visit(&place, &mut witness, round, &mut random)
-        }));
+        });
+        if let Some(ns) = visited {
+            sheet.longest("heard again after", ns, RECONNECT_NS);
+        }
         assert!(daemon.is_running(), "round {round}");
         // Dead peers are cleared away once a second.
         if round + 1 == rounds / 2 || round + 1 == rounds {
             std::thread::sleep(Duration::from_millis(2500));
-            let now = (
+            let now = [
                 descriptors(daemon.id()),
                 Domain::segments(&place.domain()).unwrap(),
-            );
+            ];
             let then = *plateau.get_or_insert(now);
-            tell(format!(
-                "after {} kills: {} descriptors, {} segments; heard again after {} ms at most",
-                2 * (round + 1),
-                now.0,
-                now.1,
-                worst / 1_000_000
-            ));
-            assert!(
-                now.0 <= then.0 + 2 && now.1 <= then.1 + 2,
-                "{then:?} -> {now:?}"
-            );
+            sheet.bar("descriptors", now[0] as f64, "", (then[0] + 2) as f64);
+            sheet.bar("segments", now[1] as f64, "", (then[1] + 2) as f64);
+            let is_level = now[0] <= then[0] + 2 && now[1] <= then[1] + 2;
+            sheet.check(is_level, || format!("left behind: {then:?} -> {now:?}"));
         }
     }
 }
 
-#[test]
-fn when_vpcd_is_killed_the_emulator_stops_and_a_new_one_begins() {
-    let _turn = turn();
+/// Measures a daemon that is killed, and the next one.
+pub fn measure_vpcd(sheet: &mut Sheet) {
     let mut random = ChaCha8Rng::seed_from_u64(2);
-    let mut worst = [0; 2];
-    for round in 0..repeats("kill -9 of vpcd in motion", 5, 100) {
-        let took = fairly(&format!("daemon {round}"), || fall(round, &mut random));
-        worst = std::array::from_fn(|k| worst[k].max(took[k]));
+    for round in 0..sheet.repeats(5, 100) {
+        let what = format!("kill {round}");
+        let took = sheet.round(&classes(), &what, || fall(round, &mut random));
+        if let Some([stands_ns, commands_ns]) = took {
+            sheet.longest("the robot stands after", stands_ns, STANDS_NS);
+            sheet.longest("the next commands after", commands_ns, COMMANDS_NS);
+        }
     }
-    tell(format!(
-        "killed vpcd: the robot stands after {} ms, the next is READY and commands after {} ms, at most",
-        worst[0] / 1_000_000,
-        worst[1] / 1_000_000
-    ));
 }
 
 /// One kill of the daemon, at a random phase of its cycle, and the next daemon: how long until the
@@ -133,25 +142,15 @@ fn fall(round: usize, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
         mut witness,
         daemon,
         mut camera,
-    } = Stage::in_motion(round);
+    } = Stage::in_motion(round)?;
     some_time(4, random);
     daemon.signal(Signal::KILL);
     let killed_ns = now_ns();
     daemon.kill();
     // What the robot says of itself.
-    let Some(stands_ns) = witness.until_it_stands(killed_ns, &mut camera) else {
-        tell(format!(
-            "start {round}: the run was decided just then: {:?}",
-            camera.ended()
-        ));
-        return fall(round + 1, random);
-    };
-    let took = in_time(
-        "the robot stands",
-        killed_ns,
-        stands_ns,
-        100_000_000 + WAKE_NS,
-    )?;
+    let stands_ns = witness.until_it_stands(killed_ns, &mut camera);
+    let class = Class::of_vpcd();
+    let took = in_time("the robot stands", class, killed_ns, stands_ns, STANDS_NS)?;
     // READY as systemd hears it, and the first command.
     let manager = UnixDatagram::bind(place.path("manager")).unwrap();
     manager.set_nonblocking(true).unwrap();
@@ -177,8 +176,14 @@ fn fall(round: usize, random: &mut impl Rng) -> anyhow::Result<[u64; 2]> {
         witness.commands().iter().all(is_still),
         "it moves by itself"
     );
-    let last = witness.records().pop().map(|record| record.hold());
-    assert_eq!(last, Some(Some(Hold::Unclean)));
-    let ready = in_time("READY and commands", born_ns, commands_ns, 1_000_000_000)?;
+    let last = eventually("a record", || witness.records().pop());
+    assert_eq!(last.hold(), Some(Hold::Unclean));
+    let ready = in_time(
+        "READY and commands",
+        Class::Ordinary,
+        born_ns,
+        commands_ns,
+        COMMANDS_NS,
+    )?;
     Ok([took, ready])
 }

@@ -83,3 +83,13 @@ fn files(path: &Path) -> impl FnMut() + use<> {
         }
     }
 }
+
+/// Ends threads, which look at the flag, when it is dropped: also when an assertion fails, for
+/// whose scope waits.
+pub struct EndOnDrop<'a>(pub &'a AtomicBool);
+
+impl Drop for EndOnDrop<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}

@@ -4,8 +4,6 @@
 //! No command passes the limits, the robot stands whenever the daemon is gone, and nothing grows:
 //! memory of the daemon, descriptors, segments.
 //!
-//!     VPC_LONG=1 cargo test --test promises soak -- --ignored --nocapture
-//!
 //! `VPC_SECONDS` chooses another time, `VPC_SEED` other faults (1).
 
 use std::collections::BTreeMap;
@@ -23,12 +21,14 @@ use rand_chacha::ChaCha8Rng;
 use rustix::process::Signal;
 
 use crate::fixture::{
-    CAMERA_PRIORITY, EndOnDrop, Place, Running, WAKE_NS, Witness, assert_within_limits, is_still,
-    program, repeats, tell, turn,
+    CAMERA_PRIORITY, Place, Running, WAKE_NS, Witness, assert_within_limits, eventually, is_still,
+    on_time,
 };
+use crate::judge::in_time;
 use crate::load;
-use crate::machine::{on_time, processors};
-use crate::watch::{Standstills, Watch};
+use crate::load::EndOnDrop;
+use crate::reference::{Class, Reference};
+use crate::sheet::Sheet;
 
 /// Longest time from the end of the daemon to standstill, ns.
 const STANDS_NS: u64 = 100_000_000 + WAKE_NS;
@@ -141,6 +141,8 @@ struct Tally {
     /// Of the present daemon.
     overruns: u64,
     stands_ns: u64,
+    /// Ends of the daemon after which the robot stood late, as the reference was.
+    disturbed: u32,
     stop: Duration,
     growth_kib: [u64; 2],
     moving: u64,
@@ -283,18 +285,41 @@ impl Cast {
             }
             Fault::DaemonKilled | Fault::DaemonHangs => {
                 self.tend(tally);
-                let watch = Watch::start(&processors(), 1_000_000, WAKE_NS);
+                let reference = Reference::start(&[Class::of_vpcd()]);
                 let signal = match fault {
                     Fault::DaemonKilled => Signal::KILL,
                     _ => Signal::STOP,
                 };
-                self.daemon.signal(signal);
+                self.daemon.halt(signal);
                 let gone_ns = now_ns();
-                let stands_ns = self.witness.until_it_stands(gone_ns, &mut self.camera);
-                check_standing(gone_ns, stands_ns, &watch.end(), tally);
+                let stands_ns = self.until_it_stands(gone_ns);
+                let seen = reference.end();
+                if let Some(stands_ns) = stands_ns {
+                    let class = Class::of_vpcd();
+                    let stood = in_time("it stands", class, gone_ns, stands_ns, STANDS_NS);
+                    match stood {
+                        Ok(took_ns) => tally.stands_ns = tally.stands_ns.max(took_ns),
+                        Err(miss) if miss.is_the_machines(&seen) => tally.disturbed += 1,
+                        Err(miss) => panic!("{miss}"),
+                    }
+                }
                 self.daemon.signal(Signal::CONT);
             }
         }
+    }
+
+    /// When the robot said after this instant that it stands, ns; `None` if its run was decided
+    /// before.
+    fn until_it_stands(&mut self, after_ns: u64) -> Option<u64> {
+        eventually("a robot that stands", || {
+            let went = !self.camera.is_running();
+            while let Some(state) = self.witness.observer.robot.oldest().unwrap() {
+                if state.twist == [0.0; 6] && state.stamp.published_ns > after_ns {
+                    return Some(Some(state.stamp.published_ns));
+                }
+            }
+            went.then_some(None)
+        })
     }
 
     /// A line of the shell in the domain's directory.
@@ -335,14 +360,6 @@ impl Cast {
     }
 }
 
-/// Counts how long the robot moved on, without the time in which the machine stood still.
-fn check_standing(gone_ns: u64, stands_ns: Option<u64>, seen: &Standstills, tally: &mut Tally) {
-    let Some(stands_ns) = stands_ns else { return };
-    let took_ns = (stands_ns - gone_ns).saturating_sub(seen.between(gone_ns, stands_ns));
-    assert!(took_ns <= STANDS_NS, "the robot stands after {took_ns} ns");
-    tally.stands_ns = tally.stands_ns.max(took_ns);
-}
-
 fn daemon(place: &Place) -> Running {
     Running::start(place.vpcd("[flight]\ndirectory = 'records'\nkeep = 3\nminutes = 0.2"))
 }
@@ -356,11 +373,7 @@ fn recording(place: &Place, number: usize) -> PathBuf {
 }
 
 fn vpcctl(place: &Place) -> Command {
-    let mut command = testkit::command(program("vpcctl"));
-    command
-        .arg("--domain")
-        .arg(place.domain())
-        .stdin(Stdio::null());
+    let mut command = place.vpcctl();
     command.stdout(Stdio::null()).stderr(Stdio::null());
     command
 }
@@ -374,14 +387,16 @@ fn recorder(place: &Place, number: usize) -> Running {
 /// The page, or the metrics, at a port of its own.
 fn server(place: &Place, name: &str) -> Running {
     let mut command = vpcctl(place);
-    command.args([name, "--listen", address(name)]);
+    command.args([name, "--listen", &address(name)]);
     Running::start(command)
 }
 
-fn address(name: &str) -> &'static str {
+/// Addresses of their own, on the loopback network of this process.
+fn address(name: &str) -> String {
+    let own = 1 + std::process::id() % 250;
     match name {
-        "serve" => "127.0.0.1:39470",
-        _ => "127.0.0.1:39469",
+        "serve" => format!("127.39.{own}.1:39470"),
+        _ => format!("127.39.{own}.1:39469"),
     }
 }
 
@@ -461,17 +476,15 @@ impl Life {
     }
 }
 
-#[test]
-#[ignore = "half a minute: CI runs it in a line of its own"]
-fn an_hour_of_faults_leaves_nothing_behind_and_nothing_moves_on() {
-    let _turn = turn();
+/// Measures.
+pub fn measure(sheet: &mut Sheet) {
     let given = |name| {
         std::env::var(name)
             .ok()
             .map(|text| text.parse().expect(name))
     };
     let seconds = given("VPC_SECONDS");
-    let seconds = seconds.unwrap_or_else(|| repeats("seconds of soak", 30, 3600) as u64);
+    let seconds = seconds.unwrap_or_else(|| sheet.repeats(30, 3600) as u64);
     let (time, seed) = (Duration::from_secs(seconds), given("VPC_SEED").unwrap_or(1));
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (mut cast, mut tally) = (Cast::new(), Tally::default());
@@ -504,31 +517,37 @@ fn an_hour_of_faults_leaves_nothing_behind_and_nothing_moves_on() {
         cast.go_on(2 * CLEARED, &mut tally);
         [first, state(&cast)]
     });
-    tell(format!(
-        "soak: {} s, seed {seed}: {} cycles, {} with the law, {} releases missed; faults {:?}; {} restarts, {} runs of the camera, {} KiB read of page and metrics; the robot stands after {} ms, a stop is back after {} ms, at most; memory of the daemon (its own, mapped) grew by {:?} KiB at most; descriptors and segments {first:?}, then {last:?}",
-        time.as_secs(),
-        tally.cycles,
-        tally.moving,
-        tally.missed,
-        tally.faults,
-        tally.restarts,
-        cast.starts,
-        bytes.load(Ordering::Relaxed) / 1024,
-        tally.stands_ns / 1_000_000,
-        tally.stop.as_millis(),
-        tally.growth_kib,
-    ));
-    assert!(tally.moving > 10 * time.as_secs(), "it hardly moved");
-    assert!(
-        bytes.load(Ordering::Relaxed) > 1000 * time.as_secs(),
-        "nothing was read"
+    let faults: u32 = tally.faults.values().sum();
+    let kib = bytes.load(Ordering::Relaxed) / 1024;
+    sheet.figure("seed", seed as f64, "");
+    sheet.figure("cycles", tally.cycles as f64, "");
+    sheet.figure("with the law", tally.moving as f64, "");
+    sheet.figure("releases missed", tally.missed as f64, "");
+    sheet.figure("faults", f64::from(faults), "");
+    sheet.figure("restarts", f64::from(tally.restarts), "");
+    sheet.figure("runs of the camera", cast.starts as f64, "");
+    sheet.figure("read of page and metrics", kib as f64, "KiB");
+    sheet.longest("the robot stands after", tally.stands_ns, STANDS_NS);
+    sheet.figure("those disturbed", f64::from(tally.disturbed), "");
+    sheet.figure("a stop is back after", tally.stop.as_secs_f64() * 1e3, "ms");
+    let [own, mapped] = tally.growth_kib;
+    sheet.bar("own memory grew by", own as f64, "KiB", GROWTH_KIB as f64);
+    sheet.bar(
+        "mapped memory grew by",
+        mapped as f64,
+        "KiB",
+        GROWTH_KIB as f64,
     );
-    assert!(
-        tally.growth_kib.iter().all(|growth| *growth <= GROWTH_KIB),
-        "memory: {:?} KiB",
-        tally.growth_kib
-    );
-    for (then, now) in first.into_iter().zip(last) {
-        assert!(now <= then + MORE, "{first:?} -> {last:?}");
+    sheet.bar("descriptors", last[0] as f64, "", (first[0] + MORE) as f64);
+    sheet.bar("segments", last[1] as f64, "", (first[1] + MORE) as f64);
+    sheet.check(own.max(mapped) <= GROWTH_KIB, || {
+        format!("memory grew by {own} and {mapped} KiB")
+    });
+    let is_level = std::iter::zip(first, last).all(|(then, now)| now <= then + MORE);
+    sheet.check(is_level, || format!("left behind: {first:?} -> {last:?}"));
+    sheet.check(kib > time.as_secs(), || "nothing was read".to_owned());
+    // A late machine disarms again and again.
+    if tally.moving <= 10 * time.as_secs() {
+        sheet.lacks("it hardly moved");
     }
 }

@@ -8,14 +8,14 @@ use std::time::Duration;
 use ipc::now_ns;
 use messages::{Action, Hold, Outcome};
 use rustix::process::Signal;
-use testkit::is_root;
 
 use crate::fixture::{
-    CAMERA_PRIORITY, Ended, PERIOD_NS, Place, Running, Stage, Witness, are_installed, ended,
-    eventually, is_still, not_run, program, root, scene_file, tell, turn,
+    CAMERA_PRIORITY, Ended, PERIOD_NS, Place, Running, Stage, Witness, classes, ended, eventually,
+    is_still, on_time, program, root, scene_file,
 };
-use crate::machine::on_time;
-use crate::stall::{fairly, in_time};
+use crate::judge::{NotShown, in_time};
+use crate::reference::Class;
+use crate::sheet::Sheet;
 
 /// From the end of what the hand did to the first zero twist, ns.
 const ZERO_NS: u64 = 3 * PERIOD_NS;
@@ -35,23 +35,19 @@ const HANDS: [(&str, bool); 10] = [
     ("mv domain moved", false),
 ];
 
-#[test]
-fn every_hand_on_the_stop_file_is_a_stop() {
-    let _turn = turn();
-    let mut worst = 0;
+/// Measures the hands.
+pub fn measure(sheet: &mut Sheet) {
     for (number, (line, is_usable)) in HANDS.into_iter().enumerate() {
-        worst = worst.max(fairly(line, || stopped_by(number, line, is_usable)));
+        let stopped = sheet.round(&classes(), line, || stopped_by(number, line, is_usable));
+        if let Some(ns) = stopped {
+            sheet.longest("zero after", ns, ZERO_NS);
+        }
     }
-    tell(format!(
-        "{} hands on the stop file: zero after {} ms at most",
-        HANDS.len(),
-        worst / 1_000_000
-    ));
 }
 
 /// How long after the end of the shell's line the zero twist went out, ns, at most.
 fn stopped_by(number: usize, line: &str, is_usable: bool) -> anyhow::Result<u64> {
-    let mut stage = Stage::in_motion(number);
+    let mut stage = Stage::in_motion(number)?;
     // The same again, after arming, is a stop again.
     let rounds = if is_usable { 2 } else { 1 };
     let mut worst = 0;
@@ -63,7 +59,7 @@ fn stopped_by(number: usize, line: &str, is_usable: bool) -> anyhow::Result<u64>
             });
             stage.camera = moving_camera(&stage, number + round);
             is_seen(&mut stage.witness);
-            stage.witness.set_in_motion();
+            stage.witness.set_in_motion()?;
         }
         stage.witness.commands();
         shell(stage.place.directory(), line);
@@ -95,11 +91,17 @@ fn stands(witness: &mut Witness, since_ns: u64) -> anyhow::Result<u64> {
     let zero_ns = first.last().map_or(0, |zero| zero.stamp.published_ns);
     std::thread::sleep(Duration::from_nanos(4 * PERIOD_NS));
     assert!(witness.commands().iter().all(is_still), "it moves on");
-    let last = witness.records().last().copied();
-    let hold = last.and_then(|record| record.hold());
-    assert_eq!(hold, Some(Hold::Operator));
+    let last = eventually("a record", || witness.records().pop());
+    assert_eq!(last.hold(), Some(Hold::Operator));
     // It may come before the shell has ended.
-    in_time("zero", since_ns.min(zero_ns), zero_ns, ZERO_NS)
+    let from_ns = since_ns.min(zero_ns);
+    Ok(in_time(
+        "zero",
+        Class::of_vpcd(),
+        from_ns,
+        zero_ns,
+        ZERO_NS,
+    )?)
 }
 
 /// Waits until the daemon has seen a camera that has just started, another one than before.
@@ -132,25 +134,16 @@ fn stop(domain: &Path) -> Ended {
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    fn mount(path: PathBuf, kib: u32) -> Option<Self> {
-        if !is_root("a file system of its own") {
-            return None;
-        }
-        std::fs::create_dir(&path).unwrap();
+    fn mount(path: PathBuf, kib: u32) -> anyhow::Result<Self> {
+        std::fs::create_dir(&path)?;
         let mut mount = testkit::command("mount");
-        mount.args([
-            "-t",
-            "tmpfs",
-            "-o",
-            &format!("size={kib}k,mode=0700"),
-            "vpc",
-        ]);
+        let size = format!("size={kib}k,mode=0700");
+        mount.args(["-t", "tmpfs", "-o", &size, "vpc"]);
         let mounted = ended(mount.arg(&path));
         if mounted.code != Some(0) {
-            not_run("a full disk", mounted.stderr.trim());
-            return None;
+            return Err(NotShown(mounted.stderr.trim().to_owned()).into());
         }
-        Some(Self(path))
+        Ok(Self(path))
     }
 
     fn fill(&self) {
@@ -166,75 +159,83 @@ impl Drop for SmallDisk {
     }
 }
 
-#[test]
-fn on_a_full_disk_a_stop_is_a_stop() {
-    let _turn = turn();
-    let place = Place::new();
-    let Some(disk) = SmallDisk::mount(place.domain(), 4096) else {
+/// Measures a disk without room.
+pub fn measure_full_disk(sheet: &mut Sheet) {
+    if !sheet.is_root() {
         return;
-    };
-    let mut witness = Witness::new(&place);
-    let _daemon = Running::start(place.vpcd(""));
-    for (number, way) in ["vpcctl", "python", "shell"].into_iter().enumerate() {
-        let _camera = Running::start(on_time(place.hw_sim(number), CAMERA_PRIORITY));
-        is_seen(&mut witness);
-        witness.set_in_motion();
-        disk.fill();
-        witness.commands();
-        match way {
-            "vpcctl" => {
-                let Ended { code, stderr, .. } = stop(&place.domain());
-                assert_eq!(code, Some(0), "{stderr}");
-            }
-            "python" => {
-                // Without iceoryx2: the function needs the file alone.
-                let path = root().join("ipc/clients/python/vpc_client");
-                let script = format!(
-                    "import importlib.util, sys, types\n\
-                     package = types.ModuleType('p'); package.__path__ = ['{0}']; sys.modules['p'] = package\n\
-                     domain = types.ModuleType('p.domain'); domain.default_directory = str; sys.modules['p.domain'] = domain\n\
-                     from p.stop import stop\n\
-                     stop('{1}')\n",
-                    path.display(),
-                    place.domain().display()
-                );
-                let mut python = testkit::command("python3");
-                python.env("PYTHONDONTWRITEBYTECODE", "1");
-                let Ended { code, stderr, .. } = ended(python.args(["-c", &script]));
-                assert_eq!(code, Some(0), "{stderr}");
-            }
-            _ => {
-                // The shell empties the file, then finds no room for the words.
-                let mut shell = testkit::command("/bin/sh");
-                ended(
-                    shell
-                        .args(["-c", "date > stop"])
-                        .current_dir(place.domain()),
-                );
-            }
-        }
-        witness.until("a zero twist", is_still);
-        std::thread::sleep(Duration::from_nanos(4 * PERIOD_NS));
-        assert!(
-            witness.commands().iter().all(is_still),
-            "{way}: it moves on"
-        );
-        std::fs::remove_file(place.domain().join("fill")).unwrap();
-        // With room again the last stop is acknowledged.
-        eventually("the acknowledgement", || {
-            let file = std::fs::read(place.domain().join("stop")).unwrap();
-            (file.len() == 64 && file[..32] == file[32..]).then_some(())
-        });
     }
+    for (number, way) in ["vpcctl", "python", "shell"].into_iter().enumerate() {
+        let stopped = sheet.round(&classes(), way, || stopped_on_a_full_disk(number, way));
+        if let Some(ns) = stopped {
+            sheet.figure(&format!("{way}: zero after"), ns as f64 / 1e6, "ms");
+        }
+    }
+    sheet.round(&classes(), "no room for the stop file", starts_without_room);
 }
 
-#[test]
-fn without_room_for_the_stop_file_nothing_starts() {
-    let _turn = turn();
+/// How long after one begins to stop a full disk's daemon the zero twist went out, ns.
+fn stopped_on_a_full_disk(number: usize, way: &str) -> anyhow::Result<u64> {
     let place = Place::new();
-    let Some(disk) = SmallDisk::mount(place.domain(), 64) else {
-        return;
-    };
+    let disk = SmallDisk::mount(place.domain(), 4096)?;
+    let mut witness = Witness::new(&place);
+    let _daemon = Running::start(place.vpcd(""));
+    let _camera = Running::start(on_time(place.hw_sim(number), CAMERA_PRIORITY));
+    is_seen(&mut witness);
+    witness.set_in_motion()?;
+    disk.fill();
+    witness.commands();
+    let asked_ns = now_ns();
+    match way {
+        "vpcctl" => {
+            let Ended { code, stderr, .. } = stop(&place.domain());
+            assert_eq!(code, Some(0), "{stderr}");
+        }
+        "python" => {
+            // Without iceoryx2: the function needs the file alone.
+            let path = root().join("ipc/clients/python/vpc_client");
+            let script = format!(
+                "import importlib.util, sys, types\n\
+                 package = types.ModuleType('p'); package.__path__ = ['{0}']; sys.modules['p'] = package\n\
+                 domain = types.ModuleType('p.domain'); domain.default_directory = str; sys.modules['p.domain'] = domain\n\
+                 from p.stop import stop\n\
+                 stop('{1}')\n",
+                path.display(),
+                place.domain().display()
+            );
+            let mut python = testkit::command("python3");
+            python.env("PYTHONDONTWRITEBYTECODE", "1");
+            let Ended { code, stderr, .. } = ended(python.args(["-c", &script]));
+            assert_eq!(code, Some(0), "{stderr}");
+        }
+        _ => {
+            // The shell empties the file, then finds no room for the words.
+            let mut shell = testkit::command("/bin/sh");
+            ended(
+                shell
+                    .args(["-c", "date > stop"])
+                    .current_dir(place.domain()),
+            );
+        }
+    }
+    let zero = witness.until("a zero twist", is_still);
+    let zero_ns = zero.last().map_or(asked_ns, |zero| zero.stamp.published_ns);
+    std::thread::sleep(Duration::from_nanos(4 * PERIOD_NS));
+    assert!(
+        witness.commands().iter().all(is_still),
+        "{way}: it moves on"
+    );
+    std::fs::remove_file(place.domain().join("fill")).unwrap();
+    // With room again the last stop is acknowledged.
+    eventually("the acknowledgement", || {
+        let file = std::fs::read(place.domain().join("stop")).unwrap();
+        (file.len() == 64 && file[..32] == file[32..]).then_some(())
+    });
+    Ok(zero_ns.saturating_sub(asked_ns))
+}
+
+fn starts_without_room() -> anyhow::Result<()> {
+    let place = Place::new();
+    let disk = SmallDisk::mount(place.domain(), 64)?;
     // All but the stop file has its room already.
     let domain = ipc::Domain::join(&place.domain()).unwrap();
     disk.fill();
@@ -242,15 +243,20 @@ fn without_room_for_the_stop_file_nothing_starts() {
         .unwrap_err()
         .to_string();
     assert!(message.contains("No space left on device"), "{message}");
+    Ok(())
 }
 
 /// In a process namespace of its own, so that it stops nobody else's.
-#[test]
-fn a_stop_names_daemons_at_work_elsewhere_and_stops_all() {
-    let what = "a process namespace";
-    if !is_root(what) || !are_installed(what, &["unshare=util-linux"]) {
-        return;
+pub fn measure_elsewhere(sheet: &mut Sheet) {
+    if sheet.is_root() && sheet.has(&["unshare=util-linux"]) {
+        sheet.round(&classes(), "daemons elsewhere", || {
+            is_named_elsewhere();
+            Ok(())
+        });
     }
+}
+
+fn is_named_elsewhere() {
     let place = Place::new();
     let script = format!(
         r#"

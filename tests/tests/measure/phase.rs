@@ -2,9 +2,9 @@
 //! off, so that the fixed clock drifts through a whole period in seven seconds. When the frames
 //! stop, the clock `phase` runs free again.
 //!
-//! The clock learns how late frames come. On a machine that stands still again and again they come
-//! late again and again, and it waits for them: where that is so before one answer in twenty, a
-//! miss of the bars shows nothing.
+//! The clock learns how late frames come. On a machine that is late again and again they come late
+//! again and again, and it waits for them: where that is so before one answer in twenty, a miss of
+//! the bars shows nothing.
 
 use std::process::Stdio;
 use std::time::{Duration, Instant};
@@ -13,9 +13,10 @@ use ipc::{Domain, Observer};
 use messages::PhaseCode;
 use rustix::process::Signal;
 
-use crate::fixture::{PERIOD_NS, Place, Running, WAKE_NS, eventually, program, root, tell, turn};
-use crate::machine::{may_be_real_time, on_time, processors};
-use crate::watch::{Standstills, Watch};
+use crate::fixture::{PERIOD_NS, Place, Running, WAKE_NS, eventually, on_time, program, root};
+use crate::machine::may_be_real_time;
+use crate::reference::{Class, Reference};
+use crate::sheet::Sheet;
 
 /// The camera's rate, Hz; the daemon's is 30.
 const RATE: f64 = 29.85;
@@ -25,12 +26,9 @@ const WATCHED: Duration = Duration::from_secs(8);
 /// A start at which `previous` stays in front of an occlusion for good.
 const START: &str = "82";
 
-/// Between two looks at the clock, and lateness of one from which on the machine stood still, ns.
-const TICK_NS: u64 = 1_000_000;
+/// Lateness of the reference from which on it disturbs, ns.
 const LATE_NS: u64 = WAKE_NS;
-/// Runs at most, until the machine does not stand still too often.
-const RUNS: usize = 3;
-/// Most of the answers before which the machine may stand still for a miss to count.
+/// Most of the answers before which the reference may be late for a miss to count.
 const UNFIT: f64 = 0.05;
 
 /// An answer: when its features and its command were published, ns.
@@ -105,54 +103,52 @@ fn share(sorted: &[f64], share: f64) -> f64 {
     sorted[((sorted.len() - 1) as f64 * share) as usize]
 }
 
-#[test]
-#[ignore = "half a minute: CI runs it in a line of its own"]
-fn latency_is_small_and_constant_where_a_fixed_grid_drifts() {
-    let _turn = turn();
-    if !(0..RUNS).any(|_| compare()) {
-        tell("phase: NOT SHOWN on this machine, which stood still too often");
-    }
-}
-
-/// Latencies of the answers before which the machine did not stand still, ms, ascending; and the
-/// share of the others.
-fn latencies(answers: &[Answer], seen: &Standstills) -> (Vec<f64>, f64) {
-    let is_quiet = |[from_ns, to_ns]: &&Answer| seen.between(from_ns - PERIOD_NS, *to_ns) == 0;
-    let quiet = answers.iter().filter(is_quiet);
-    let mut all: Vec<f64> = quiet.map(|[from, to]| (to - from) as f64 / 1e6).collect();
-    all.sort_by(f64::total_cmp);
-    let disturbed = 1.0 - all.len() as f64 / answers.len() as f64;
-    (all, disturbed)
-}
-
-/// Compares the two clocks; whether that showed the promise. Panics where it is broken and the
-/// machine was fit.
-fn compare() -> bool {
+/// Compares the two clocks.
+pub fn measure(sheet: &mut Sheet) {
+    let class = Class::of_vpcd();
     let (mut spreads, mut worst) = (Vec::new(), 0.0_f64);
     for clock in ["fixed", "phase"] {
-        let watch = Watch::start(&processors(), TICK_NS, LATE_NS);
+        let reference = Reference::start(&[class]);
         let (answers, with_camera) = answers(clock);
-        let (found, disturbed) = latencies(&answers, &watch.end());
+        let seen = reference.end();
+        // Those before which the reference was in time.
+        let is_quiet =
+            |[from_ns, to_ns]: &&Answer| seen.between(class, from_ns - PERIOD_NS, *to_ns) < LATE_NS;
+        let quiet = answers.iter().filter(is_quiet);
+        let mut found: Vec<f64> = quiet.map(|[from, to]| (to - from) as f64 / 1e6).collect();
+        found.sort_by(f64::total_cmp);
+        let disturbed = 1.0 - found.len() as f64 / answers.len().max(1) as f64;
         worst = worst.max(disturbed);
-        if found.is_empty() {
-            return false;
+        if found.len() < 10 {
+            return sheet.lacks(format!(
+                "{clock}: the reference was late before each answer"
+            ));
         }
-        let (p1, p50, p99) = (share(&found, 0.01), share(&found, 0.5), share(&found, 0.99));
-        tell(format!(
-            "phase: clock {clock}: features to command p1 {p1:.2}, p50 {p50:.2}, p99 {p99:.2} ms over {} answers; the machine stood still before {:.1} %",
-            answers.len(),
-            100.0 * disturbed
-        ));
-        assert!(answers.len() > 200, "{clock}: {} answers", answers.len());
+        let [p1, p50, p99] = [0.01, 0.5, 0.99].map(|at| share(&found, at));
+        sheet.figure(&format!("{clock}: answers"), answers.len() as f64, "");
+        sheet.figure(&format!("{clock}: p1"), p1, "ms");
+        sheet.figure(&format!("{clock}: p50"), p50, "ms");
+        sheet.figure(&format!("{clock}: p99"), p99, "ms");
+        sheet.figure(&format!("{clock}: disturbed"), 100.0 * disturbed, "%");
+        let is_missing = answers.len() <= 200 && worst <= UNFIT;
+        sheet.check(!is_missing, || {
+            format!("{clock}: {} answers", answers.len())
+        });
         spreads.push((p99 - p1, p99, with_camera));
     }
     let [(fixed, _, free), (phase, latest, following)] = spreads[..] else {
         unreachable!("two clocks")
     };
-    assert_eq!(free, PhaseCode::Free);
-    assert_ne!(following, PhaseCode::Free, "a free grid with frames");
+    sheet.bar("spread of phase", phase, "ms", 4.0);
+    sheet.check(free == PhaseCode::Free, || {
+        format!("clock fixed is {free:?}")
+    });
     // Seen with ten builds beside: 32 ms against 0.7 ms.
-    let is_kept = fixed > 20.0 && phase < 4.0 && latest < 6.0;
-    assert!(is_kept || worst > UNFIT, "{fixed}, {phase}, {latest} ms");
-    is_kept
+    let is_kept = fixed > 20.0 && phase < 4.0 && latest < 6.0 && following != PhaseCode::Free;
+    let said = format!("spreads {fixed:.1} and {phase:.1}, p99 {latest:.1} ms, {following:?}");
+    // The clock learns how late frames come, and waits for them.
+    match is_kept || worst <= UNFIT {
+        true => sheet.check(is_kept, || said),
+        false => sheet.disturbed(said),
+    }
 }

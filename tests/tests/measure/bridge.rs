@@ -3,19 +3,19 @@
 //! stops itself as the real one would; 200 ms where `vpcd` is asked to end, and brakes. Nothing
 //! moves in lockstep, and a reflex stays until somebody asks.
 
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use ipc::{Domain, Observer, now_ns};
-use messages::{RobotFaults, RobotMode, RobotState};
+use messages::{RobotFaults, RobotMode, RobotState, TwistState};
 use rustix::process::Signal;
 
-use crate::fixture::{
-    PATIENCE, PERIOD_NS, Place, Running, WAKE_NS, are_installed, ended, eventually, program, root,
-    tell, turn, within,
-};
-use crate::stall::{fairly, in_time};
+use crate::fixture::{PERIOD_NS, Place, Running, WAKE_NS, ended, eventually, program, root};
+use crate::judge::{Miss, in_time};
+use crate::reference::Class;
+use crate::sheet::Sheet;
 
 /// Time from a fault to standstill, ns; and where `vpcd` is asked to end, which brakes within
 /// `brake_s`, 0.15 s, from its next cycle on.
@@ -32,7 +32,7 @@ const COMMUNICATION: &str = "communication_constraints_violation";
 
 /// What goes wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Fault {
+pub enum Fault {
     DaemonKilled,
     DaemonHangs,
     DaemonTerminated,
@@ -41,6 +41,42 @@ enum Fault {
     BridgeTerminated,
     /// No packet arrives any more, at either end.
     CablePulled,
+}
+
+/// All of them.
+pub const FAULTS: [Fault; 7] = [
+    Fault::DaemonKilled,
+    Fault::DaemonHangs,
+    Fault::DaemonTerminated,
+    Fault::BridgeKilled,
+    Fault::BridgeHangs,
+    Fault::BridgeTerminated,
+    Fault::CablePulled,
+];
+
+impl Fault {
+    /// The name of its measurement.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::DaemonKilled => "bridge, vpcd killed",
+            Self::DaemonHangs => "bridge, vpcd hangs",
+            Self::DaemonTerminated => "bridge, vpcd terminated",
+            Self::BridgeKilled => "bridge killed",
+            Self::BridgeHangs => "bridge hangs",
+            Self::BridgeTerminated => "bridge terminated",
+            Self::CablePulled => "bridge, cable pulled",
+        }
+    }
+
+    /// From the fault to the first frame in which the arm stands, ns: it stood for up to a frame
+    /// before.
+    fn bar_ns(self) -> u64 {
+        let stands_ns = match self {
+            Self::DaemonTerminated => BRAKES_NS,
+            _ => STANDS_NS,
+        };
+        stands_ns + PERIOD_NS + WAKE_NS
+    }
 }
 
 /// A network of its own, with a cable that can be pulled.
@@ -113,6 +149,15 @@ fn bridge(cable: &Cable, place: &Place, (name, _): Model) -> Command {
     bridge
 }
 
+/// The configuration for this robot, in real time where that is permitted.
+fn config(place: &Place) -> PathBuf {
+    let file = root().join("controller/vpcd-robot.toml");
+    let text = std::fs::read_to_string(file).unwrap();
+    let above = format!("\"{}/", root().display());
+    let text = text.replace("\"../", &above);
+    place.file("vpcd.toml", text + "\n[realtime]\npriority = 60\n")
+}
+
 impl Cell {
     fn new(more: &[&str]) -> Self {
         Self::with(PANDA, more)
@@ -134,8 +179,7 @@ impl Cell {
         eventually("a frame", || observer.features.latest().unwrap());
         let bridge = Running::start(bridge(&cable, &place, model));
         let mut daemon = testkit::command(program("vpcd"));
-        daemon.arg("--config");
-        daemon.arg(root().join("controller/vpcd-robot.toml"));
+        daemon.arg("--config").arg(config(&place));
         daemon.arg("--domain").arg(place.domain()).args(more);
         let daemon = Running::start(daemon.stdout(Stdio::null()).stderr(Stdio::piped()));
         Self {
@@ -159,33 +203,32 @@ impl Cell {
     }
 
     /// Arms, as soon as camera and robot are there, and waits until the image moves.
-    pub fn set_in_motion(&mut self) {
+    ///
+    /// # Errors
+    /// If it is disarmed before it moves, as a late machine may cause.
+    pub fn set_in_motion(&mut self) -> Result<(), Miss> {
         eventually("arming", || {
-            let mut vpcctl = testkit::command(program("vpcctl"));
-            let arm = vpcctl.arg("--domain").arg(self.place.domain()).arg("arm");
-            (ended(arm).code == Some(0)).then_some(())
+            let mut arm = self.place.vpcctl();
+            (ended(arm.arg("arm")).code == Some(0)).then_some(())
         });
-        self.until_it_moves();
-    }
-
-    /// Waits until the image moves.
-    fn until_it_moves(&mut self) {
-        let moves = within(PATIENCE, || {
+        let armed_ns = now_ns();
+        while self.observer.twist.oldest().unwrap().is_some() {}
+        eventually("motion", || {
+            while let Some(twist) = self.observer.twist.oldest().unwrap() {
+                if twist.state() == Some(TwistState::Disarmed) {
+                    let state = self.place.state();
+                    let what = format!("disarmed before it moves: {state}");
+                    let class = Class::Ordinary;
+                    return Some(Err(Miss::upset(what, class, armed_ns, now_ns())));
+                }
+            }
             std::thread::sleep(Duration::from_millis(500));
             let frames = self.frames();
             let [.., (_, a), (_, b)] = frames.as_slice() else {
                 return None;
             };
-            (distance(a, b) > MOVES_PX).then_some(())
-        });
-        if moves.is_none() {
-            let mut vpcctl = testkit::command(program("vpcctl"));
-            let status = vpcctl.arg("--domain").arg(self.place.domain());
-            panic!(
-                "armed, it does not move: {:#?}",
-                ended(status.arg("status"))
-            );
-        }
+            (distance(a, b) > MOVES_PX).then_some(Ok(()))
+        })
     }
 
     /// The newest state that the bridge told.
@@ -202,7 +245,8 @@ fn distance(a: &[f64; 8], b: &[f64; 8]) -> f64 {
 /// One fault: how long until the arm stood, ns.
 fn strike(fault: Fault) -> anyhow::Result<u64> {
     let mut cell = Cell::new(&[]);
-    cell.set_in_motion();
+    let armed_ns = now_ns();
+    cell.set_in_motion()?;
     let struck_ns = now_ns();
     match fault {
         Fault::DaemonKilled => cell.daemon.signal(Signal::KILL),
@@ -218,15 +262,19 @@ fn strike(fault: Fault) -> anyhow::Result<u64> {
     let (_, last) = frames.last().unwrap();
     // The first frame of those in which it stands.
     let is_moving = |(_, points): &(u64, [f64; 8])| distance(points, last) > STANDS_PX;
-    let moving = frames.iter().rposition(is_moving);
-    let (stands_ns, _) = frames[moving.map_or(0, |k| k + 1)];
-    // It stood for up to a frame before.
-    let stands_within = match fault {
-        Fault::DaemonTerminated => BRAKES_NS,
-        _ => STANDS_NS,
+    let Some(moving) = frames.iter().rposition(is_moving) else {
+        let what = "it stood before";
+        return Err(Miss::upset(what, Class::Ordinary, armed_ns, struck_ns).into());
     };
-    let bar = stands_within + PERIOD_NS + WAKE_NS;
-    let took = in_time("it stands", struck_ns, stands_ns.max(struck_ns), bar)?;
+    let (stands_ns, _) = frames[moving + 1];
+    let stands_ns = stands_ns.max(struck_ns);
+    let took = in_time(
+        "it stands",
+        Class::Ordinary,
+        struck_ns,
+        stands_ns,
+        fault.bar_ns(),
+    )?;
 
     // Whether the robot stopped itself, as the real one would.
     match fault {
@@ -268,13 +316,7 @@ fn recover(mut cell: Cell) {
     std::thread::sleep(Duration::from_millis(300));
     let state = cell.state();
     assert!(is_at_fault(&state) && state.faults().any(RobotFaults::REFLEX));
-    let mut vpcctl = testkit::command(program("vpcctl"));
-    let said = ended(
-        vpcctl
-            .arg("--domain")
-            .arg(cell.place.domain())
-            .arg("recover"),
-    );
+    let said = ended(cell.place.vpcctl().arg("recover"));
     assert_eq!(said.code, Some(0), "{said:?}");
     assert!(said.stdout.starts_with("recover: done"), "{said:?}");
     assert!(!is_at_fault(&cell.state()));
@@ -282,67 +324,58 @@ fn recover(mut cell: Cell) {
     assert!(said.stdout.contains(COMMUNICATION), "{said:?}");
 }
 
-pub fn is_possible(what: &str) -> bool {
-    testkit::is_root(what) && are_installed(what, &["ip=iproute2", "tc=iproute2"])
+/// Whether the machine has what the cable needs.
+pub fn is_possible(sheet: &mut Sheet) -> bool {
+    sheet.is_root() && sheet.has(&["ip=iproute2", "tc=iproute2"])
 }
 
-#[test]
-fn whatever_dies_or_hangs_the_arm_stands_within_150_ms() {
-    let _turn = turn();
-    if !is_possible("faults about the bridge") {
+/// Measures this fault.
+pub fn measure(fault: Fault, sheet: &mut Sheet) {
+    if !is_possible(sheet) {
         return;
     }
-    for fault in [
-        Fault::DaemonKilled,
-        Fault::DaemonHangs,
-        Fault::DaemonTerminated,
-        Fault::BridgeKilled,
-        Fault::BridgeHangs,
-        Fault::BridgeTerminated,
-        Fault::CablePulled,
-    ] {
-        let took = fairly("a fault about the bridge", || strike(fault));
-        let took = took / 1_000_000;
-        tell(format!(
-            "bridge, {fault:?}: the arm is seen to stand after {took} ms, in frames 33 ms apart"
-        ));
+    let struck = sheet.round(&[Class::Ordinary], fault.name(), || strike(fault));
+    if let Some(ns) = struck {
+        sheet.longest("the arm is seen to stand after", ns, fault.bar_ns());
     }
 }
 
-#[test]
-fn a_missing_robot_ends_the_bridge_and_disarms() {
-    let _turn = turn();
-    if !is_possible("a robot that is gone") {
+/// Measures a robot that is gone.
+pub fn measure_missing_robot(sheet: &mut Sheet) {
+    if !is_possible(sheet) {
         return;
     }
-    let mut cell = Cell::new(&[]);
-    cell.set_in_motion();
-    cell.robot.signal(Signal::KILL);
-    let said = cell.bridge.ended();
-    assert_eq!(said.code, Some(69), "{said:?}");
-    let disarmed =
-        |twist: &messages::TwistCommand| twist.state() == Some(messages::TwistState::Disarmed);
-    eventually("a controller that disarms", || {
-        let twist = cell.observer.twist.oldest().unwrap()?;
-        disarmed(&twist).then_some(())
+    sheet.round(&[Class::Ordinary], "a robot that is gone", || {
+        let mut cell = Cell::new(&[]);
+        cell.set_in_motion()?;
+        cell.robot.signal(Signal::KILL);
+        let said = cell.bridge.ended();
+        assert_eq!(said.code, Some(69), "{said:?}");
+        eventually("a controller that disarms", || {
+            let twist = cell.observer.twist.oldest().unwrap()?;
+            (twist.state() == Some(TwistState::Disarmed)).then_some(())
+        });
+        Ok(())
     });
 }
 
-#[test]
-fn a_controller_in_lockstep_moves_nothing() {
-    let _turn = turn();
-    if !is_possible("lockstep") {
+/// Measures a controller in lockstep.
+pub fn measure_lockstep(sheet: &mut Sheet) {
+    if !is_possible(sheet) {
         return;
     }
-    let mut cell = Cell::new(&["--clock", "lockstep"]);
-    eventually("commands that ask for motion", || {
-        let twist = cell.observer.twist.oldest().unwrap()?;
-        (twist.twist != [0.0; 6]).then_some(())
+    sheet.round(&[Class::Ordinary], "lockstep", || {
+        let mut cell = Cell::new(&["--clock", "lockstep"]);
+        eventually("commands that ask for motion", || {
+            let twist = cell.observer.twist.oldest().unwrap()?;
+            (twist.twist != [0.0; 6]).then_some(())
+        });
+        let before = cell.state().q;
+        std::thread::sleep(LOOKS);
+        assert_eq!(cell.state().q, before);
+        let said = cell.bridge.terminated();
+        assert_eq!(said.code, Some(0), "{said:?}");
+        assert!(said.stderr.contains("lockstep"), "{said:?}");
+        Ok(())
     });
-    let before = cell.state().q;
-    std::thread::sleep(LOOKS);
-    assert_eq!(cell.state().q, before);
-    let said = cell.bridge.terminated();
-    assert_eq!(said.code, Some(0), "{said:?}");
-    assert!(said.stderr.contains("lockstep"), "{said:?}");
 }

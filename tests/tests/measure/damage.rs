@@ -15,8 +15,10 @@ use messages::{Action, Request, TwistState};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::fixture::{PERIOD_NS, Stage, WAKE_NS, is_still, repeats, tell, turn};
-use crate::stall::{fairly, in_time};
+use crate::fixture::{PERIOD_NS, Stage, WAKE_NS, classes, is_still};
+use crate::judge::in_time;
+use crate::reference::Class;
+use crate::sheet::Sheet;
 
 /// Longest time from the last command to standstill, ns.
 const STANDS_NS: u64 = 100_000_000 + WAKE_NS;
@@ -31,22 +33,25 @@ enum End {
     Killed,
 }
 
-#[test]
-fn damaged_memory_of_a_peer_ends_in_standstill() {
-    let _turn = turn();
+/// Measures.
+pub fn measure(sheet: &mut Sheet) {
     let mut ends = Vec::new();
-    for round in 0..repeats("damaged memories", 6, 100) {
-        ends.push(fairly(&format!("damage {round}"), || damage(round)));
+    for round in 0..sheet.repeats(6, 100) {
+        let what = format!("damage {round}");
+        let damaged = sheet.round(&classes(), &what, || damage(round));
+        if let Some((end, stood_ns)) = damaged {
+            sheet.longest("the robot stands after", stood_ns, STANDS_NS);
+            ends.push(end);
+        }
     }
     let count = |end| ends.iter().filter(|found| **found == end).count();
-    tell(format!(
-        "damaged memory: {} went on, {} sent zero and aborted, {} were killed where they were",
-        count(End::GoesOn),
-        count(End::Aborted),
-        count(End::Killed)
-    ));
+    sheet.figure("went on", count(End::GoesOn) as f64, "");
+    sheet.figure("sent zero and aborted", count(End::Aborted) as f64, "");
+    sheet.figure("killed where they were", count(End::Killed) as f64, "");
     // Otherwise nothing was damaged that the loop reads.
-    assert!(count(End::Aborted) > 0, "{ends:?}");
+    if count(End::Aborted) == 0 {
+        sheet.lacks("no damage that the loop reads");
+    }
 }
 
 fn segments() -> BTreeSet<PathBuf> {
@@ -54,15 +59,16 @@ fn segments() -> BTreeSet<PathBuf> {
     files.map(|file| file.unwrap().path()).collect()
 }
 
-/// An operator comes, and its memory is damaged.
-fn damage(round: usize) -> anyhow::Result<End> {
+/// An operator comes, and its memory is damaged: how the daemon took it, and how long after its last
+/// command the robot stood, ns, if it ended.
+fn damage(round: usize) -> anyhow::Result<(End, u64)> {
     let mut random = ChaCha8Rng::seed_from_u64(round as u64);
     let Stage {
         place,
         mut witness,
         daemon,
         mut camera,
-    } = Stage::in_motion(round);
+    } = Stage::in_motion(round)?;
     let before = segments();
     // Never dropped: to leave in order, this process would read what it damages.
     let domain = ManuallyDrop::new(Domain::join(&place.domain())?);
@@ -97,7 +103,7 @@ fn damage(round: usize) -> anyhow::Result<End> {
     file.write_all_at(&bytes, from)?;
     std::thread::sleep(Duration::from_nanos(10 * PERIOD_NS));
     commands.extend(witness.commands());
-    let mut end = End::GoesOn;
+    let (mut end, mut stood_ns) = (End::GoesOn, 0);
     let mut daemon = daemon;
     if !daemon.is_running() {
         let last = commands.last().expect("a command");
@@ -116,12 +122,12 @@ fn damage(round: usize) -> anyhow::Result<End> {
             assert!(ended.stderr.contains("the loop panicked"), "{ended:?}");
         }
         let last_ns = last.stamp.published_ns;
-        if let Some(stands_ns) = witness.until_it_stands(last_ns, &mut camera) {
-            in_time("the robot stands", last_ns, stands_ns, STANDS_NS)?;
-        }
+        let stands_ns = witness.until_it_stands(last_ns, &mut camera);
+        let class = Class::of_vpcd();
+        stood_ns = in_time("the robot stands", class, last_ns, stands_ns, STANDS_NS)?;
     }
     theirs
         .iter()
         .for_each(|path| _ = std::fs::remove_file(path));
-    Ok(end)
+    Ok((end, stood_ns))
 }

@@ -9,8 +9,10 @@ use messages::{Action, Request, RobotState};
 use rustix::process::Signal;
 
 use crate::bridge::{Cell, FR3, Model, PANDA, is_possible};
-use crate::fixture::{PATIENCE, WAKE_NS, repeats, tell, turn};
-use crate::stall::{fairly, in_time};
+use crate::fixture::{PATIENCE, WAKE_NS};
+use crate::judge::{Miss, in_time};
+use crate::reference::Class;
+use crate::sheet::Sheet;
 
 /// How it is stopped.
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +45,7 @@ fn speed(state: &RobotState) -> [f64; 2] {
 
 fn stop(model: Model, way: Way) -> anyhow::Result<Stopped> {
     let mut cell = Cell::with(model, &[]);
-    cell.set_in_motion();
+    cell.set_in_motion()?;
     let mut states = Vec::new();
     while let Some(state) = cell.observer.robot.oldest().unwrap() {
         states.push(state.message);
@@ -90,41 +92,75 @@ fn rests(cell: &mut Cell, mut states: Vec<RobotState>, asked_ns: u64) -> anyhow:
             way[k] += seconds * (speed(&pair[0])[k] + speed(&pair[1])[k]) / 2.0;
         }
     }
+    let speed = before.map_or([0.0; 2], speed);
+    if speed.iter().all(|speed| *speed <= AT_REST) {
+        let what = format!("it stood when it was asked: {}", cell.place.state());
+        let from_ns = states.first().map_or(asked_ns, |state| state.stamp.data_ns);
+        return Err(Miss::upset(what, Class::Ordinary, from_ns.min(asked_ns), asked_ns).into());
+    }
     let rest_ns = rest.stamp.data_ns.max(asked_ns);
     Ok(Stopped {
-        took_ns: in_time("the arm rests", asked_ns, rest_ns, RESTS_NS + WAKE_NS)?,
-        speed: before.map_or([0.0; 2], speed),
+        took_ns: in_time(
+            "the arm rests",
+            Class::Ordinary,
+            asked_ns,
+            rest_ns,
+            RESTS_NS + WAKE_NS,
+        )?,
+        speed,
         way,
     })
 }
 
-#[test]
-fn the_chain_stops_within_its_time_and_distance() {
-    let _turn = turn();
-    if !is_possible("stops of the whole chain") {
+/// A robot, and how it is stopped.
+#[derive(Clone, Copy, Debug)]
+pub struct Case {
+    pub name: &'static str,
+    model: Model,
+    way: Way,
+}
+
+/// All of them.
+pub const CASES: [Case; 8] = [
+    case("stopping panda, stop", PANDA, Way::Stop),
+    case("stopping panda, disarm", PANDA, Way::Disarm),
+    case("stopping panda, terminate", PANDA, Way::Terminate),
+    case("stopping panda, kill", PANDA, Way::Kill),
+    case("stopping fr3, stop", FR3, Way::Stop),
+    case("stopping fr3, disarm", FR3, Way::Disarm),
+    case("stopping fr3, terminate", FR3, Way::Terminate),
+    case("stopping fr3, kill", FR3, Way::Kill),
+];
+
+const fn case(name: &'static str, model: Model, way: Way) -> Case {
+    Case { name, model, way }
+}
+
+/// Measures this case.
+pub fn measure(case: Case, sheet: &mut Sheet) {
+    if !is_possible(sheet) {
         return;
     }
-    let count = repeats("stops of the whole chain, of each kind", 1, 20);
-    for model in [PANDA, FR3] {
-        for way in [Way::Stop, Way::Disarm, Way::Terminate, Way::Kill] {
-            let (mut took_ns, mut speed, mut path) = (0, [0.0_f64; 2], [0.0_f64; 2]);
-            for _ in 0..count {
-                let stopped = fairly("a stop of the whole chain", || stop(model, way));
-                took_ns = took_ns.max(stopped.took_ns);
-                for k in 0..2 {
-                    speed[k] = speed[k].max(stopped.speed[k]);
-                    path[k] = path[k].max(stopped.way[k]);
-                }
+    let (mut speed, mut path) = ([0.0_f64; 2], [0.0_f64; 2]);
+    let mut count = 0;
+    for round in 0..sheet.repeats(1, 20) {
+        let what = format!("stop {round}");
+        let stopped = sheet.round(&[Class::Ordinary], &what, || stop(case.model, case.way));
+        if let Some(stopped) = stopped {
+            sheet.longest("at rest after", stopped.took_ns, RESTS_NS + WAKE_NS);
+            count += 1;
+            for k in 0..2 {
+                speed[k] = speed[k].max(stopped.speed[k]);
+                path[k] = path[k].max(stopped.way[k]);
             }
-            tell(format!(
-                "{}, {way:?}: at rest after {} ms at most, from up to {:.3} m/s and {:.3} rad/s; {:.1} mm and {:.2} degrees",
-                model.0,
-                took_ns / 1_000_000,
-                speed[0],
-                speed[1],
-                path[0] * 1e3,
-                path[1].to_degrees()
-            ));
         }
     }
+    if count == 0 {
+        return;
+    }
+    sheet.figure("stops", f64::from(count), "");
+    sheet.figure("from", speed[0], "m/s");
+    sheet.figure("and", speed[1], "rad/s");
+    sheet.figure("went on by", path[0] * 1e3, "mm");
+    sheet.figure("and turned by", path[1].to_degrees(), "degrees");
 }
