@@ -14,10 +14,10 @@ use testkit::root;
 use crate::crates::WORKSPACES;
 
 /// Names from the crate's root to a module or an item.
-type Names = Vec<String>;
+pub type Names = Vec<String>;
 
 /// Which child of a module uses which, with a place where it does.
-type Uses = BTreeMap<String, BTreeMap<String, String>>;
+pub type Uses = BTreeMap<String, BTreeMap<String, String>>;
 
 #[test]
 fn no_modules_use_each_other_in_a_circle() {
@@ -58,7 +58,7 @@ fn sources() -> Vec<PathBuf> {
 }
 
 /// The modules of a crate.
-struct Sources {
+pub struct Sources {
     modules: BTreeMap<Names, Module>,
 }
 
@@ -72,7 +72,7 @@ struct Module {
 }
 
 impl Sources {
-    fn read(directory: &Path) -> Self {
+    pub fn read(directory: &Path) -> Self {
         let mut modules = BTreeMap::new();
         for file in files(directory) {
             let inside = file.strip_prefix(directory).unwrap().with_extension("");
@@ -98,7 +98,7 @@ impl Sources {
     }
 
     /// The uses among the children of each module.
-    fn uses(&self) -> BTreeMap<Names, Uses> {
+    pub fn uses(&self) -> BTreeMap<Names, Uses> {
         let mut uses = BTreeMap::<Names, Uses>::new();
         for (at, module) in &self.modules {
             for path in &module.paths {

@@ -4,3 +4,4 @@
 mod circles;
 mod crates;
 mod invariants;
+mod order;
