@@ -54,6 +54,12 @@ pub trait Cell {
     /// When the next step is due, ns.
     fn due_ns(&self) -> u64;
 
+    /// Where a client lets time pass: waits for a moment, and returns whether it does. Ask again
+    /// where it does not.
+    fn may_step(&mut self) -> bool {
+        true
+    }
+
     /// The step that is due began so much later, ns.
     fn late(&mut self, _late_ns: u64) {}
 

@@ -207,7 +207,8 @@ pub enum Clock {
     /// The camera's rate on the monotonic clock.
     #[default]
     Fixed,
-    /// The controller: a frame for each answer.
+    /// The controller: a frame for each answer; with `fci`, the client: a millisecond for each
+    /// command.
     Lockstep,
 }
 
@@ -261,7 +262,6 @@ fn fci(
         false => Err(document.refuse("fci", address, format!("with {what} only"))),
     };
     needs(keys.robot == Body::Panda, "robot = \"panda\"")?;
-    needs(keys.clock == Clock::Fixed, "clock = \"fixed\"")?;
     needs(
         !arguments.all && !arguments.repeat,
         "one start: without --all and --loop",
@@ -274,6 +274,7 @@ fn fci(
         address,
         version,
         desk_decimals: keys.truth.desk_decimals,
+        is_lockstep: keys.clock == Clock::Lockstep,
     }))
 }
 

@@ -39,6 +39,27 @@ const REST_NS: u64 = 2_000_000_000;
 /// SCHED_FIFO for the robot's millisecond: above ordinary processes, below vpcd's default of 80.
 const PRIORITY: i32 = 70;
 
+/// What lets the time of a run pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pace {
+    /// The monotonic clock.
+    RealTime,
+    /// The controller, which answers each frame.
+    Controller,
+    /// The client of the vendor's interface, which answers each state. Time is the robot's, from 0.
+    Client,
+}
+
+impl Pace {
+    fn of(config: &Config) -> Self {
+        match (config.clock, config.rig.arm.fci) {
+            (Clock::Fixed, _) => Self::RealTime,
+            (Clock::Lockstep, None) => Self::Controller,
+            (Clock::Lockstep, Some(_)) => Self::Client,
+        }
+    }
+}
+
 /// How many runs there were.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
@@ -95,6 +116,7 @@ pub fn run(
 /// The process's part of one run after another.
 struct Session<'a> {
     config: &'a Config,
+    pace: Pace,
     stop: &'a AtomicBool,
     ports: Ports,
     /// None where a client of the vendor's interface tells the states.
@@ -128,6 +150,7 @@ impl<'a> Session<'a> {
         };
         Ok(Self {
             config,
+            pace: Pace::of(config),
             stop,
             ports,
             robot,
@@ -144,7 +167,7 @@ impl<'a> Session<'a> {
     }
 
     fn is_live(&self) -> bool {
-        self.config.clock == Clock::Fixed
+        self.pace == Pace::RealTime
     }
 
     fn is_stopped(&self) -> bool {
@@ -191,13 +214,13 @@ impl<'a> Session<'a> {
     /// Says that features go out: otherwise nothing is seen of a run that begins when somebody
     /// arms.
     fn announce(&self) {
-        if self.is_live() {
+        if self.pace != Pace::Controller {
             eprintln!(
                 "hw-sim: {} go out in domain {}; the run begins when vpcd is armed",
                 self.ports.what(),
                 self.config.domain.display()
             );
-            if self.config.robot.is_robot() {
+            if self.is_live() && self.config.robot.is_robot() {
                 // Where it is not permitted, milliseconds begin later: the outcome's lateness.
                 let _ = program::take_fifo(PRIORITY);
             }
@@ -216,7 +239,10 @@ impl<'a> Session<'a> {
 
     /// Steps a cell from now on until its run is decided, or for a while.
     fn drive(&mut self, cell: &mut dyn Cell, rest_ns: Option<u64>) -> anyhow::Result<()> {
-        self.since_ns = now_ns();
+        self.since_ns = match self.pace {
+            Pace::Client => 0,
+            Pace::RealTime | Pace::Controller => now_ns(),
+        };
         (self.command, self.measured) = (None, None);
         (self.lateness, self.late) = Default::default();
         self.is_told = rest_ns.is_some() || !self.is_live();
@@ -254,18 +280,32 @@ impl<'a> Session<'a> {
 
     fn step(&mut self, cell: &mut dyn Cell, is_resting: bool) -> anyhow::Result<()> {
         let due_ns = cell.due_ns();
-        let now_ns = if self.is_live() {
-            sleep_until(due_ns, self.stop);
-            for _ in 0..COMMANDS {
-                let Some(newer) = self.ports.command()? else {
-                    break;
-                };
-                self.obey(cell, newer);
-                self.warn_if_late(due_ns);
+        let now_ns = match self.pace {
+            Pace::RealTime => {
+                sleep_until(due_ns, self.stop);
+                for _ in 0..COMMANDS {
+                    let Some(newer) = self.ports.command()? else {
+                        break;
+                    };
+                    self.obey(cell, newer);
+                    self.warn_if_late(due_ns);
+                }
+                now_ns()
             }
-            now_ns()
-        } else {
-            due_ns
+            Pace::Controller => due_ns,
+            Pace::Client => {
+                while !cell.may_step() {
+                    if self.is_stopped() {
+                        return Ok(());
+                    }
+                }
+                // The client obeys them; here they tell when the run begins.
+                if let Some(mut newer) = self.ports.command()? {
+                    newer.stamp.published_ns = due_ns;
+                    self.obey(cell, newer);
+                }
+                due_ns
+            }
         };
         let late_ns = now_ns.saturating_sub(due_ns);
         self.lateness.add(late_ns);
@@ -317,7 +357,7 @@ impl<'a> Session<'a> {
         };
         let sent = self.ports.send(shot, stamp, exposure_ns)?;
         self.measured = shot.image.is_none().then(|| shot.points.to_vec());
-        if !self.is_live() {
+        if self.pace == Pace::Controller {
             let Some(answer) = self.ports.answer(&sent, PATIENCE)? else {
                 bail!(
                     "lockstep: nobody answered frame {} within {} s; {} running with --clock lockstep in domain {}?",

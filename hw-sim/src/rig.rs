@@ -218,6 +218,10 @@ impl Cell for Rig {
         self.now_ns()
     }
 
+    fn may_step(&mut self) -> bool {
+        self.arm.may_step()
+    }
+
     /// A client cannot answer in time what the machine was late for: the robot's time stands still
     /// with the machine's.
     fn late(&mut self, late_ns: u64) {

@@ -5,6 +5,8 @@ use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+
 use crate::message::{Answer, Command, Kind, Request, State};
 use crate::wire::{HEAD, LONGEST, Version};
 
@@ -107,6 +109,20 @@ impl Server {
 
     fn datagrams(&self) -> Option<&UdpSocket> {
         self.client.as_ref()?.datagrams.as_ref()
+    }
+
+    /// Waits until the client, which gets states, sends something or is gone; `false` where it does
+    /// not in this time.
+    pub fn wait(&self, patience: Duration) -> bool {
+        let Some((client, datagrams)) = self.client.as_ref().zip(self.datagrams()) else {
+            return false;
+        };
+        let mut ends = [
+            PollFd::new(datagrams, PollFlags::IN),
+            PollFd::new(&client.stream, PollFlags::IN),
+        ];
+        let patience = Timespec::try_from(patience).ok();
+        poll(&mut ends, patience.as_ref()).is_ok_and(|ready| ready > 0)
     }
 
     /// What happened since the last call. Each [`Event::Request`] is to be answered.

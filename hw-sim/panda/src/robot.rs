@@ -169,6 +169,18 @@ impl Robot {
         &self.state
     }
 
+    /// Whether a motion follows commands.
+    pub fn follows(&self) -> bool {
+        self.motion.is_some()
+    }
+
+    /// One more state, of a motion that stands still until its next command comes; returns it.
+    pub fn wait(&mut self) -> &State {
+        self.time += 1;
+        self.report();
+        &self.state
+    }
+
     /// Follows the command of this millisecond, or its substitute if it is missing.
     fn follow(&mut self, arrived: &[Command]) {
         let Some((generator, link)) = &mut self.motion else {

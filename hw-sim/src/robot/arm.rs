@@ -200,6 +200,14 @@ impl Arm {
         self.control_unit.is_some()
     }
 
+    /// Where a client paces the robot: waits for a moment, and returns whether the next step may be
+    /// taken.
+    pub fn may_step(&mut self) -> bool {
+        let robot = &self.bridge.driver.robot;
+        let control_unit = self.control_unit.as_mut();
+        control_unit.is_none_or(|control_unit| control_unit.may_step(robot))
+    }
+
     /// One millisecond: the bridge, or a client, answers the robot's state; the robot steps.
     pub fn step(&mut self, now_ns: u64) {
         match &mut self.control_unit {

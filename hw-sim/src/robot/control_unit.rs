@@ -2,6 +2,7 @@
 
 use std::io;
 use std::net::SocketAddr;
+use std::time::{Duration, Instant};
 
 use fci::message::{IDENTITY, Kind, Mode as WireMode, Transform};
 use fci::{Answer, Controller, Event, Generator, Load, Request, Server, Ticket, Version, errors};
@@ -20,6 +21,15 @@ const ASKEW: f64 = 1e-4;
 /// Angle of joint 4 at which the elbow changes its sign, rad: where the arm is stretched out.
 const STRETCHED: f64 = -0.467;
 
+/// Between two states of a robot in lockstep, as long as no motion follows commands.
+const MILLISECOND: Duration = Duration::from_millis(1);
+/// In lockstep a motion begins with a state, and another that the client answers: by then it has
+/// read the first one. One that has not gets a third, before its library gives up after a second.
+const SECOND_STATE: Duration = Duration::from_millis(5);
+const THIRD_STATE: Duration = Duration::from_millis(500);
+/// Longest wait at a time, so that a signal is seen.
+const LOOK: Duration = Duration::from_millis(10);
+
 /// Where the interface is, and in which version.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FciSettings {
@@ -29,6 +39,9 @@ pub struct FciSettings {
     pub version: Version,
     /// Decimals of F_T_NE at the desk; 0: all.
     pub desk_decimals: u32,
+    /// Whether a client paces the robot's motions, a millisecond for each command; otherwise the
+    /// machine's clock does.
+    pub is_lockstep: bool,
 }
 
 /// The control unit.
@@ -46,6 +59,9 @@ pub struct ControlUnit {
     stiffness: Transform,
     load: Load,
     desk_decimals: u32,
+    is_lockstep: bool,
+    /// In lockstep, when the next state is due whatever the client does; `None`: it waits for it.
+    due: Option<Instant>,
 }
 
 /// A motion that was begun.
@@ -55,6 +71,10 @@ struct Started {
     generator: Generator,
     controller: Controller,
     is_stopped: bool,
+    /// States without a command since it began.
+    unanswered: u32,
+    /// Whether a command has come.
+    is_commanded: bool,
 }
 
 impl ControlUnit {
@@ -72,14 +92,56 @@ impl ControlUnit {
             stiffness: IDENTITY,
             load: Load::default(),
             desk_decimals: settings.desk_decimals,
+            is_lockstep: settings.is_lockstep,
+            due: Some(Instant::now()),
         })
+    }
+
+    /// In lockstep: waits for a moment, and returns whether the next step may be taken.
+    pub fn may_step(&mut self, robot: &Robot) -> bool {
+        let left = self
+            .due
+            .map_or(LOOK, |due| due.saturating_duration_since(Instant::now()));
+        let left = left.min(LOOK);
+        if self.is_awaited(robot) && self.server.wait(left) {
+            return true;
+        }
+        if !self.is_awaited(robot) {
+            std::thread::sleep(left);
+        }
+        self.due.is_some_and(|due| due <= Instant::now())
+    }
+
+    /// Whether the robot's time stands still until a client commands.
+    fn is_awaited(&self, robot: &Robot) -> bool {
+        self.is_lockstep && robot.follows() && self.server.has_client()
+    }
+
+    /// When the next state is due in lockstep.
+    fn next_due(&self, robot: &Robot) -> Option<Instant> {
+        let motion = self.motion.filter(|_| self.is_awaited(robot));
+        let after = match motion {
+            None => MILLISECOND,
+            Some(motion) if motion.is_commanded => return None,
+            Some(motion) if motion.unanswered == 0 => SECOND_STATE,
+            Some(_) => THIRD_STATE,
+        };
+        Some(Instant::now() + after)
     }
 
     /// One millisecond of the robot: the client's commands, its requests, the new state, and the
     /// answers that are due.
     pub fn step(&mut self, robot: &mut Robot) {
         let commands: Vec<Command> = self.commands();
-        robot.step(&commands);
+        match self.is_awaited(robot) && commands.is_empty() {
+            // Nothing is lost in lockstep.
+            true => robot.wait(),
+            false => robot.step(&commands),
+        };
+        if let Some(motion) = &mut self.motion {
+            motion.unanswered += u32::from(commands.is_empty());
+            motion.is_commanded |= !commands.is_empty();
+        }
         if let Some(ticket) = self.braking.take() {
             self.recover(&ticket, robot);
         }
@@ -97,6 +159,7 @@ impl ControlUnit {
         // A state with the error goes out before the answer that the motion was aborted.
         self.server.tell(&self.told(robot.state()));
         self.answer(robot.state());
+        self.due = self.next_due(robot);
     }
 
     fn commands(&mut self) -> Vec<Command> {
@@ -221,6 +284,8 @@ impl ControlUnit {
                     generator,
                     controller,
                     is_stopped: false,
+                    unanswered: 0,
+                    is_commanded: false,
                 });
                 Answer::MotionStarted
             }
@@ -382,6 +447,7 @@ mod tests {
             address: "127.0.0.1:0".parse().unwrap(),
             version: Version::V5,
             desk_decimals,
+            is_lockstep: false,
         };
         let robot = panda::RobotSettings::with_hand();
         let robot = Robot::new(robot, panda::READY.into()).unwrap();

@@ -4,11 +4,11 @@
 use std::path::Path;
 
 use scene::{Pose, Scene};
-use testkit::python::script;
+use testkit::python::{Environment, script};
 use testkit::{Ended, Place, ended, root};
 use vision::{Look, Renderer, truth};
 
-use super::{OPENCV, write};
+use super::write;
 
 /// Frames of the video.
 const FRAMES: usize = 40;
@@ -46,7 +46,7 @@ fn points(line: &str) -> Vec<([f64; 2], bool)> {
 
 #[test]
 fn opencv_sees_rendered_tags_only_where_they_are() {
-    let Some(python) = OPENCV.python("opencv_camera.py on rendered frames") else {
+    let Some(python) = Environment::JUDGES.python("opencv_camera.py on rendered frames") else {
         return;
     };
     let place = Place::new();

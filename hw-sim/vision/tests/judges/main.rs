@@ -6,14 +6,7 @@ mod tags;
 use std::fs::File;
 use std::path::Path;
 
-use testkit::python::Environment;
 use vision::Image;
-
-const OPENCV: Environment = Environment {
-    name: "python-opencv",
-    requirements: &[],
-    packages: &["numpy", "opencv-python-headless>=4.10,<6"],
-};
 
 fn write(path: &Path, image: &Image) {
     let size = [image.width(), image.height()].map(|side| side as u32);

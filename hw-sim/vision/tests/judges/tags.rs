@@ -4,11 +4,11 @@ use std::path::Path;
 
 use markers::Family;
 use scene::{Pose, Scene};
-use testkit::python::{run, script};
+use testkit::python::{Environment, run, script};
 use testkit::{Place, root};
 use vision::{Look, Renderer, Tag};
 
-use super::{OPENCV, write};
+use super::write;
 
 /// Where the camera sees a point of the plane z = 0, px.
 fn project(scene: &Scene, pose: &Pose, [x, y]: [f64; 2]) -> [f64; 2] {
@@ -40,7 +40,7 @@ fn found(line: &str) -> Vec<(usize, [[f64; 2]; 4])> {
 
 #[test]
 fn opencv_reads_every_tag_of_a_board_where_it_is_drawn_upright() {
-    let Some(python) = OPENCV.python("rendered tags") else {
+    let Some(python) = Environment::JUDGES.python("rendered tags") else {
         return;
     };
     // The family's numbers, from which on.
