@@ -1,6 +1,6 @@
 //! `--first-motion`: the first time that a camera and a robot meet. Each axis of the camera is
 //! moved by a little and back, at a tenth of the speed, and the image is compared with what it
-//! should show.
+//! should show. All waits are by the robot's own clock.
 
 use std::io::{BufRead, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -168,6 +168,11 @@ fn carry_out(
     moves
 }
 
+/// The robot's clock, ns.
+fn robots_ns(state: &Told) -> u64 {
+    1_000_000 * state.time.as_millis()
+}
+
 /// Asks on the terminal.
 fn confirmed() -> bool {
     print!("Go on? [yes/no] ");
@@ -221,7 +226,9 @@ impl Stage<'_> {
             return Err(FirstMotionError::Stopped);
         }
         let state = self.motion.state().map_err(&failed)?;
-        let now = now_ns();
+        let now = robots_ns(&state);
+        // Frames that came before the state, and not while it is answered.
+        self.watch(now)?;
         let mut command = TwistCommand {
             twist,
             valid_until_ns: now + MOST_OBEYED_NS,
@@ -233,9 +240,8 @@ impl Stage<'_> {
         self.motion.answer(&output, false).map_err(&failed)?;
         let limited = self.steering.limited();
         let mount = self.config.mount(&measured.end_effector.flange_from_ee);
-        let told = robot::told(&state, &mount, Doing::Moves(limited), now);
+        let told = robot::told(&state, &mount, Doing::Moves(limited), now_ns());
         self.ports.robot.publish(&told).map_err(DriveError::from)?;
-        self.watch(now)?;
         if limited.by_workspace {
             return Err(FirstMotionError::Limited("a wall of the workspace is near"));
         }
@@ -267,24 +273,29 @@ impl Stage<'_> {
     }
 
     fn go(&mut self, twist: [f64; 6], seconds: f64) -> Result<(), FirstMotionError> {
-        let end = now_ns() + Duration::from_secs_f64(seconds).as_nanos() as u64;
-        while now_ns() < end {
-            self.step(twist)?;
+        let mut end = None;
+        loop {
+            let now = robots_ns(&self.step(twist)?);
+            let end = *end.get_or_insert(now + Duration::from_secs_f64(seconds).as_nanos() as u64);
+            if now >= end {
+                return Ok(());
+            }
         }
-        Ok(())
     }
 
     /// Rests; where the flange then is, and what the camera sees, px.
     fn look(&mut self) -> Result<(Pose, Vec<[f64; 2]>), FirstMotionError> {
-        let begin = now_ns();
+        let begin = robots_ns(&self.step([0.0; 6])?);
         let count = self.config.scene.pattern.len();
         let mut sums = vec![[0.0; 2]; count];
         let (mut frames, mut last) = (0, 0);
         loop {
             let state = self.step([0.0; 6])?;
-            let now = now_ns();
+            let now = robots_ns(&state);
             let counts = |came: u64, frame: &Features| {
-                came > begin + REST_NS && frame.stamp.data_ns > begin + REST_NS / 2
+                // Both stamps are of the camera's clock.
+                let latency = frame.stamp.published_ns.saturating_sub(frame.stamp.data_ns);
+                came > begin + REST_NS.max(REST_NS / 2 + latency)
             };
             if let Some((came, frame)) = &self.newest
                 && *came > last
@@ -314,7 +325,7 @@ impl Stage<'_> {
         loop {
             let state = self.motion.state().map_err(&failed)?;
             let measured = robot::measured(&state);
-            let output = self.steering.brake(&measured, now_ns());
+            let output = self.steering.brake(&measured, robots_ns(&state));
             if self.steering.is_at_rest(&measured) {
                 let still = Output::still(self.config.interface);
                 self.motion.answer(&still, true).map_err(&failed)?;

@@ -1,6 +1,5 @@
-//! Programs in C play their parts against this crate's peers in domains of their own. One
-//! executable: each that links iceoryx2 takes up to a minute to build.
+//! The library's functions, and a program in C over it.
 
-mod installed;
 mod library;
-mod process;
+mod program;
+mod smoke;

@@ -1,13 +1,12 @@
 //! The calibrations against known truth.
 
 mod boards;
-mod emulator;
+mod drawn;
 mod hand_eye;
 mod intrinsics;
 mod latency;
-mod opencv;
 mod program;
-mod real;
 mod rendered;
 mod sheet;
+mod station;
 mod synthetic;

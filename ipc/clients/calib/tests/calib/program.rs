@@ -8,8 +8,8 @@ use testkit::{Ended, Place, ended};
 use vision_calibration_core::Iso3;
 use vpc_calib::picture::Picture;
 
-use crate::hand_eye::{mount, place};
 use crate::rendered::Studio;
+use crate::station::{mount, place};
 use crate::synthetic::{Chance, PINHOLE};
 
 fn calib(arguments: &[&str]) -> Ended {

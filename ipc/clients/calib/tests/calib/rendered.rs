@@ -12,7 +12,7 @@ use vpc_calib::picture::Picture;
 use vpc_calib::target::Target;
 use vpc_calib::view::View;
 
-use crate::hand_eye::{PANDA, mount, place};
+use crate::station::{PANDA, mount, place};
 use crate::synthetic::{Chance, PINHOLE};
 
 /// A camera before a board.

@@ -8,7 +8,7 @@ use vpc_calib::picture::Picture;
 use vpc_calib::sheet;
 use vpc_calib::target::Target;
 
-use crate::boards::boards;
+use crate::drawn::boards;
 
 /// Dots a mm, and by how much the sheet is turned, deg: no camera sees it straight on its pixels.
 const DOTS: f64 = 3.0;

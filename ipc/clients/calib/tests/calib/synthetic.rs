@@ -87,19 +87,4 @@ impl Chance {
         }
         View::of_tags("", &tags)
     }
-
-    /// Views that show ten tags or more.
-    pub fn views(&mut self, count: usize, tilt_deg: f64, noise: f64) -> Vec<View> {
-        let board = Board::default();
-        let mut views = Vec::new();
-        while views.len() < count {
-            let pose = self.pose(tilt_deg);
-            let view = self.view(&CAMERA, &board, &pose, noise);
-            if view.points.len() >= 40 {
-                let name = format!("{:02}.png", views.len());
-                views.push(View { name, ..view });
-            }
-        }
-        views
-    }
 }

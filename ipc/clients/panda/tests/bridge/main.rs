@@ -1,69 +1,8 @@
-//! `vpc-panda` as a process, with the emulated robot behind the vendor's interface.
+//! `vpc-panda` as a process, and another client, with the emulated robot behind the vendor's
+//! interface, in lockstep: nothing is late.
 
 mod configuration;
 mod first_motion;
-mod forged;
+mod lockstep;
 mod motion;
-
-use std::path::Path;
-use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
-
-use ipc::{Domain, Subscriber};
-use messages::Features;
-use testkit::{Place, Running, eventually, program, root};
-
-/// The emulated robot in a domain of its own, with an address of its own.
-struct Robot {
-    running: Running,
-    address: String,
-    place: Place,
-}
-
-impl Robot {
-    /// `truth` is TOML: how the world differs from what scene and hand-eye file say.
-    fn start(version: u8, truth: &str) -> Self {
-        static COUNT: AtomicU32 = AtomicU32::new(1);
-        let count = COUNT.fetch_add(1, Ordering::Relaxed);
-        let process = std::process::id();
-        let address = format!("127.{}.{}.{count}", 64 + process / 256 % 128, process % 256);
-        let place = Place::new();
-        let scenes = root().join("ipc/scene/scenes");
-        let scenes = scenes.display();
-        let text = format!(
-            "scene = '{scenes}/paper-robot.toml'\nstarts = '{scenes}/paper-robot-starts.csv'\n\
-             robot = 'panda'\nfci = '{address}:1337'\nfci_version = {version}\nnoise_px = 0.2\n[truth]\n{truth}\n"
-        );
-        let mut hw_sim = testkit::command(program("hw-sim"));
-        hw_sim.arg("--config").arg(place.file("hw-sim.toml", text));
-        hw_sim.arg("--domain").arg(place.domain());
-        let running = Running::start(hw_sim.stdout(Stdio::piped()).stderr(Stdio::piped()));
-        let domain = Domain::join(&place.domain()).unwrap();
-        let mut features: Subscriber<Features> = domain.subscriber(1).unwrap();
-        eventually("a frame", || features.latest().unwrap());
-        Self {
-            running,
-            address,
-            place,
-        }
-    }
-
-    /// The bridge to it, with the hand-eye file of the emulated camera.
-    fn bridge(&self, robot: &str) -> Command {
-        self.bridge_with(robot, &root().join("ipc/clients/panda/hand-eye.toml"))
-    }
-
-    fn bridge_with(&self, robot: &str, hand_eye: &Path) -> Command {
-        let mut bridge = testkit::command(env!("CARGO_BIN_EXE_vpc-panda"));
-        bridge.args(["--robot", &format!("{robot}:{}", self.address)]);
-        bridge.arg("--hand-eye").arg(hand_eye).arg("--scene");
-        bridge.arg(root().join("ipc/scene/scenes/paper-robot.toml"));
-        bridge.arg("--domain").arg(self.place.domain());
-        bridge
-    }
-
-    /// What its referee reports at the end.
-    fn report(self) -> String {
-        self.running.terminated().stdout
-    }
-}
+mod robot;
