@@ -207,8 +207,7 @@ pub enum Clock {
     /// The camera's rate on the monotonic clock.
     #[default]
     Fixed,
-    /// The controller: a frame for each answer; with `fci`, the client: a millisecond for each
-    /// command.
+    /// A frame for each answer; with `fci`, a millisecond for each command of the client.
     Lockstep,
 }
 
