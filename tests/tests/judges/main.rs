@@ -7,16 +7,21 @@ mod book;
 #[allow(dead_code, reason = "`documents` has all of it")]
 #[path = "../documents/call.rs"]
 mod call;
+mod clients;
 #[path = "../documents/commands.rs"]
 mod commands;
 mod documents;
+mod external;
+mod families;
 #[allow(dead_code, reason = "`documents` has all of it")]
 #[path = "../documents/markdown.rs"]
 mod markdown;
+mod own_robot;
 mod pictures;
 #[allow(dead_code, reason = "`documents` has all of it")]
 #[path = "../documents/reference.rs"]
 mod reference;
+mod refit;
 #[allow(dead_code, reason = "`documents` has all of it")]
 #[path = "../documents/session.rs"]
 mod session;

@@ -1,16 +1,21 @@
-//! Bad configuration and a second instance: an exit code of their own, in time, a message that
-//! names key, value and what is allowed; the first instance goes on.
+//! Bad configuration and a second instance: an exit code of their own, and a message that names key,
+//! value and what is allowed; the first instance goes on. The exit code of `vpcd` for a bad
+//! configuration: `cargo test --test daemon refusal`.
 
-use std::time::{Duration, Instant};
+use std::path::Path;
+use std::process::Stdio;
 
-use anyhow::ensure;
+use controller::arguments::Arguments;
+use controller::config::{Config, ConfigError};
+use controller::flight::Recorder;
+use ipc::{CameraPorts, Domain};
+use messages::{Features, Stamp};
+use scene::Scene;
 
-use crate::fixture::{Place, Stage, ended, program, root, scene_file, tell, turn};
-use crate::stall::fairly;
+use crate::fixture::{PATIENCE, PERIOD_NS, Place, Running, ended, program, root, scene_file, tell};
 
-const BAR: Duration = Duration::from_millis(200);
-/// Attempts, of which the fastest counts: the limit is for the program, not for a busy machine.
-const TRIES: usize = 4;
+/// Memory of a machine, bytes.
+const MEMORY: u64 = 8 << 30;
 
 /// A key of the daemon's configuration.
 struct Key {
@@ -37,30 +42,22 @@ fn keys() -> Vec<Key> {
     keys
 }
 
-/// Runs the daemon on a configuration: exit code, message, and how long the fastest of some tries
-/// took.
-fn judged(place: &Place, text: &str) -> (Option<i32>, String, Duration) {
-    let mut fastest = Duration::MAX;
-    let mut command = testkit::command(program("vpcd"));
-    command.arg("--config").arg(place.file("bad.toml", text));
-    command.arg("--domain").arg(place.domain());
-    command.arg("--check-only");
-    let mut tries = 0;
-    loop {
-        let born = Instant::now();
-        let said = ended(&mut command);
-        fastest = fastest.min(born.elapsed());
-        tries += 1;
-        if fastest <= BAR || tries == TRIES {
-            return (said.code, said.stderr, fastest);
-        }
-    }
+/// What the daemon says of a configuration before it begins.
+fn judged(scene: &Scene, text: &str) -> Result<(), ConfigError> {
+    let path = "bad.toml";
+    let config = Config::parse(text, path, Path::new(""), &Arguments::default())?;
+    config.rules(scene, path)?;
+    Recorder::check_room(
+        &config.flight,
+        scene.camera.rate_hz,
+        MEMORY,
+        path.to_owned(),
+    )
 }
 
 #[test]
-fn every_wrong_key_is_refused_by_name_in_time() {
-    let _turn = turn();
-    let place = Place::new();
+fn every_wrong_key_is_refused_by_name() {
+    let read = Scene::read(&scene_file()).unwrap();
     let scene = scene_file();
     let scene = scene.display();
     let keys = keys();
@@ -68,14 +65,13 @@ fn every_wrong_key_is_refused_by_name_in_time() {
     assert!(keys.len() > 20 && keys.iter().filter(number).count() > 10);
     let mut count = 0;
     let mut check = |text: String, words: &[&str]| {
-        let (code, message, took) = judged(&place, &text);
+        let refused = judged(&read, &text).map(|()| text.clone());
+        let message = refused.unwrap_err().to_string();
         count += 1;
-        assert_eq!(code, Some(78), "{text}\n{message}");
         assert!(message.contains("bad.toml"), "{text}\n{message}");
         for word in words {
             assert!(message.contains(word), "{text}\n{message}\nlacks {word}");
         }
-        assert!(took <= BAR, "{text}: {took:?}");
     };
     check(String::new(), &["scene is missing"]);
     for Key {
@@ -137,8 +133,7 @@ fn every_wrong_key_is_refused_by_name_in_time() {
 
 #[test]
 fn every_key_may_be_missing_but_the_scene() {
-    let _turn = turn();
-    let place = Place::new();
+    let read = Scene::read(&scene_file()).unwrap();
     let text = std::fs::read_to_string(root().join("controller/vpcd.toml")).unwrap();
     let scene = format!("scene = '{}'", scene_file().display());
     let text = text.replace("scene = \"../ipc/scene/scenes/paper-sim.toml\"", &scene);
@@ -152,52 +147,55 @@ fn every_key_may_be_missing_but_the_scene() {
     assert!(keys.len() > 15, "{text}");
     for missing in keys {
         let rest = [&lines[..missing], &lines[missing + 1..]].concat();
-        let (code, message, _) = judged(&place, &rest.join("\n"));
+        let refused = judged(&read, &rest.join("\n")).err();
+        let refused = refused.map_or(String::new(), |error| error.to_string());
         let is_scene = lines[missing] == scene;
-        let expected = if is_scene { 78 } else { 0 };
         assert_eq!(
-            code,
-            Some(expected),
-            "without {}: {message}",
+            !refused.is_empty(),
+            is_scene,
+            "{}: {refused}",
             lines[missing]
         );
-        assert_eq!(message.contains("scene is missing"), is_scene, "{message}");
+        assert_eq!(refused.contains("scene is missing"), is_scene, "{refused}");
     }
 }
 
 #[test]
-fn a_second_instance_is_refused_in_time_and_the_first_goes_on() {
-    let _turn = turn();
-    fairly("a second instance", second);
-}
-
-fn second() -> anyhow::Result<()> {
-    let Stage {
-        place,
-        mut witness,
-        daemon: first,
-        camera: _camera,
-    } = Stage::in_motion(0);
-    witness.commands();
-    witness.records();
-    let mut fastest = Duration::MAX;
-    for _ in 0..TRIES {
-        let born = Instant::now();
-        let said = ended(place.vpcd(""));
-        fastest = fastest.min(born.elapsed());
-        assert_eq!(said.code, Some(69), "{said:?}");
-        let process = format!("process {}", first.id());
-        assert!(said.stderr.contains(&process), "{said:?}");
-    }
-    ensure!(fastest <= BAR, "{fastest:?}");
-    std::thread::sleep(Duration::from_millis(200));
-    let commands = witness.commands();
-    let gaps = commands
-        .windows(2)
-        .map(|pair| pair[1].stamp.sequence - pair[0].stamp.sequence);
-    assert!(commands.len() > 3 && gaps.max() == Some(1), "{commands:?}");
-    let records = witness.records();
-    let missed = records[records.len() - 1].overruns - records[0].overruns;
-    ensure!(missed == 0, "{missed} releases missed");
-    Ok(())
+fn a_second_instance_is_refused_and_the_first_goes_on() {
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut camera = CameraPorts::open(&domain).unwrap();
+    let vpcd = || {
+        let mut command = testkit::command(program("vpcd"));
+        command.arg("--scene").arg(scene_file());
+        command.args(["--strategy", "previous", "--clock", "lockstep"]);
+        command.arg("--domain").arg(place.domain());
+        command.stdout(Stdio::null()).stderr(Stdio::piped());
+        command
+    };
+    let first = Running::start(vpcd());
+    let mut answer = |sequence| {
+        let points = [
+            [400.0, 400.0],
+            [500.0, 400.0],
+            [500.0, 500.0],
+            [400.0, 500.0],
+        ];
+        let at_ns = sequence * PERIOD_NS;
+        let mut features = Features::new(&points, at_ns);
+        features.stamp = Stamp {
+            sequence,
+            published_ns: at_ns,
+            data_ns: at_ns,
+        };
+        let sent = camera.features.publish_verbatim(&features).unwrap();
+        let answer = camera.wait_for_answer(&sent, PATIENCE).unwrap();
+        answer.expect("an answer").message.stamp.sequence
+    };
+    let before = answer(1);
+    let said = ended(vpcd());
+    assert_eq!(said.code, Some(69), "{said:?}");
+    let process = format!("process {}", first.id());
+    assert!(said.stderr.contains(&process), "{said:?}");
+    assert_eq!(answer(2), before + 1);
 }

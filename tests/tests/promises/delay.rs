@@ -8,8 +8,6 @@ use system_tests::run::{Reason, Run, flawed, time};
 use system_tests::simulated::Simulated;
 use vpc::Settings;
 
-use crate::fixture::turn;
-
 /// Starts at which the memory-less strategy arrives without delay.
 const STARTS: [usize; 8] = [0, 4, 8, 12, 16, 20, 24, 28];
 
@@ -37,7 +35,6 @@ fn runs(delay_frames: usize, delay_compensation: bool) -> Vec<Run> {
 
 #[test]
 fn with_compensation_every_run_arrives_its_delay_later() {
-    let _turn = turn();
     let at_once = runs(0, true);
     for frames in [1, 2, 4] {
         for (late, prompt) in runs(frames, true).iter().zip(&at_once) {
@@ -50,7 +47,6 @@ fn with_compensation_every_run_arrives_its_delay_later() {
 
 #[test]
 fn without_compensation_four_frames_of_delay_end_in_a_violation() {
-    let _turn = turn();
     let runs = runs(4, false);
     let hit = |run: &&Run| run.reason == Some(Reason::Violation);
     assert_eq!(runs.iter().filter(hit).count(), STARTS.len());
@@ -58,7 +54,6 @@ fn without_compensation_four_frames_of_delay_end_in_a_violation() {
 
 #[test]
 fn without_delay_compensation_changes_nothing() {
-    let _turn = turn();
     let twists = |runs: Vec<Run>| -> Vec<[f64; 6]> {
         let moments = runs.into_iter().flat_map(|run| run.history);
         moments.map(|moment| moment.twist).collect()

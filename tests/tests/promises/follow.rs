@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use scene::{Pose, Scene};
 use system_tests::simulated::Simulated;
 
-use crate::fixture::{repeats, tell, turn};
+use crate::fixture::{repeats, tell};
 
 type Twist = [f64; 6];
 
@@ -274,7 +274,6 @@ fn all(
 
 #[test]
 fn an_image_that_follows_badly_is_believed() {
-    let _turn = turn();
     let count = repeats("images that follow", 400, 10_000);
     let runs = all(count, 1, |scene, random| {
         (World::draw(scene, random), Fault::None, FRAMES)
@@ -295,7 +294,6 @@ fn an_image_that_follows_badly_is_believed() {
 
 #[test]
 fn an_image_that_does_not_follow_disarms() {
-    let _turn = turn();
     let count = repeats("images that do not follow", 400, 10_000);
     let runs = all(count, 2, |_, random| {
         let fault = match random.random_range(0..3) {

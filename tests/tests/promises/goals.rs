@@ -1,23 +1,91 @@
 //! Goals that are shown: the daemon takes one up, disarmed; several are visited in turn; and a stop
-//! ends that.
+//! ends that. In lockstep: the camera waits for each answer.
 
 use std::fs;
+use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
-use messages::{Action, CycleRecord, Hold, Outcome, TwistState};
+use hw_sim::FreeCamera;
+use ipc::{CameraPorts, Domain};
+use messages::{Action, CycleRecord, Features, Hold, Outcome, Stamp, TwistState};
 use scene::{Scene, with_value};
 
 use crate::fixture::{
-    Ended, Place, Running, Witness, ended, eventually, is_still, memory_file, program, turn,
+    Ended, PERIOD_NS, Place, Running, Witness, ended, eventually, is_still, memory_file, program,
 };
 
-/// A camera on the first start, which never arrives by its own referee, and a daemon with a scene
-/// of its own.
+/// A camera on the first start, on a thread of its own and in lockstep, until it is dropped.
+struct Camera {
+    ends: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Camera {
+    fn start(place: &Place) -> Self {
+        let domain = place.domain();
+        let ends = Arc::new(AtomicBool::new(false));
+        let its_end = Arc::clone(&ends);
+        let thread = std::thread::spawn(move || show(&domain, &its_end));
+        Self {
+            ends,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for Camera {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+        let ended = self.thread.take().map(JoinHandle::join);
+        assert!(std::thread::panicking() || ended.is_some_and(|ended| ended.is_ok()));
+    }
+}
+
+/// Shows the first start, and moves as the answers say; a daemon that begins again answers the frame
+/// that it finds.
+fn show(domain: &Path, ends: &AtomicBool) {
+    let domain = Domain::join(domain).unwrap();
+    let mut ports = CameraPorts::open(&domain).unwrap();
+    let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
+    let starts = scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap();
+    let mut camera = FreeCamera::new(&scene, &starts[0]);
+    for sequence in 1.. {
+        let at_ns = sequence * PERIOD_NS;
+        let mut features = Features::new(&camera.features().unwrap(), at_ns);
+        features.stamp = Stamp {
+            sequence,
+            published_ns: at_ns,
+            data_ns: at_ns,
+        };
+        let sent = ports.features.publish_verbatim(&features).unwrap();
+        let answer = loop {
+            if ends.load(Ordering::Relaxed) {
+                return;
+            }
+            if let Some(answer) = ports.wait_for_answer(&sent, LOOK).unwrap() {
+                break answer.message.twist;
+            }
+        };
+        camera.advance(&answer, scene.sampling_time());
+        // A processor for the others.
+        std::thread::sleep(PAUSE);
+    }
+}
+
+/// Between two looks of the camera at its end, and between its frames.
+const LOOK: Duration = Duration::from_millis(50);
+const PAUSE: Duration = Duration::from_millis(1);
+
+/// A camera, and a daemon with a scene of its own.
 struct Shown {
-    place: Place,
     witness: Witness,
     daemon: Running,
-    _camera: Running,
+    _camera: Camera,
+    place: Place,
 }
 
 impl Shown {
@@ -29,13 +97,17 @@ impl Shown {
     fn with(law: &str) -> Self {
         let place = Place::new();
         let witness = Witness::new(&place);
-        let own = place.file("own.toml", scene::PAPER_SIM);
+        place.file("own.toml", scene::PAPER_SIM);
         fs::copy(memory_file(), place.path("own.vpcmem")).unwrap();
-        let mut daemon = place.vpcd(law);
-        daemon.arg("--scene").arg(own);
+        let text = format!("scene = 'own.toml'\nsafety.armed = false\n{law}");
+        let mut daemon = testkit::command(program("vpcd"));
+        daemon.arg("--config").arg(place.file("vpcd.toml", text));
+        daemon.args(["--clock", "lockstep"]);
+        daemon.arg("--domain").arg(place.domain());
+        daemon.stdout(Stdio::null()).stderr(Stdio::piped());
         let mut shown = Self {
             daemon: Running::start(daemon),
-            _camera: Running::start(place.hw_sim(0)),
+            _camera: Camera::start(&place),
             place,
             witness,
         };
@@ -83,7 +155,6 @@ impl Shown {
 
 #[test]
 fn a_goal_that_was_shown_is_taken_up_disarmed_and_visited() {
-    let _turn = turn();
     let mut shown = Shown::begun();
     let (process, before) = (shown.daemon.id(), shown.points());
     let [_, aside] = shown.taught();
@@ -115,7 +186,6 @@ fn a_goal_that_was_shown_is_taken_up_disarmed_and_visited() {
 
 #[test]
 fn a_stop_ends_a_visit() {
-    let _turn = turn();
     let mut shown = Shown::begun();
     let [here, aside] = shown.taught();
     let visit = Running::start(shown.vpcctl(&["visit", &aside, &here]));
@@ -142,7 +212,6 @@ fn a_stop_ends_a_visit() {
 
 #[test]
 fn a_goal_that_cannot_be_taken_up_changes_nothing() {
-    let _turn = turn();
     let shown = Shown::begun();
     let [here, _] = shown.taught();
     let own = fs::read_to_string(shown.place.path("own.toml")).unwrap();
@@ -167,7 +236,6 @@ fn a_goal_that_cannot_be_taken_up_changes_nothing() {
 
 #[test]
 fn its_memory_is_built_and_taken_up() {
-    let _turn = turn();
     let mut shown = Shown::with("memory = 'own.vpcmem'\n[law]\nstrategy = 'foresight'\n");
     let memory = shown.place.path("own.vpcmem");
     let before = fs::read(&memory).unwrap();

@@ -27,7 +27,7 @@ use rustix::process::Signal;
 use scene::{Scene, SceneFiles};
 
 use crate::camera::Camera;
-use crate::fixture::{PERIOD_NS, Place, Running, memory_file, program, repeats, turn};
+use crate::fixture::{PERIOD_NS, Place, Running, memory_file, program, repeats};
 
 const MS: u64 = 1_000_000;
 /// Time in which a twist at the limits is braked to zero, and taken up from there, ns.
@@ -190,7 +190,6 @@ fn control(acceleration: Option<[f64; 2]>) -> (ControlStep<'static>, Rules) {
 
 #[test]
 fn an_edited_recording_is_refused_or_replayed_to_its_end() {
-    let _turn = turn();
     let place = Place::new();
     let text = "[cycle]\nclock = 'lockstep'\n[flight]\ndirectory = 'records'\nat_exit = true\n";
     let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
@@ -260,7 +259,6 @@ fn whatever_the_controller_did_not_write_last_is_a_stop() {
 
 #[test]
 fn the_page_survives_edited_requests() {
-    let _turn = turn();
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
     let mut command = testkit::command(program("vpcctl"));

@@ -1,26 +1,28 @@
-//! Replay: ten minutes with real processes, twice. Both records and a replay are the same, and a
-//! change of one bit is found. Single cycles are also replayed from the snapshot before them, which
-//! would show any state that snapshots lack.
+//! Replay: a run with the real daemon in lockstep, twice; with `VPC_LONG=1` ten minutes. Both records
+//! and a replay are the same, and a change of one bit is found. Single cycles are also replayed from
+//! the snapshot before them, which would show any state that snapshots lack. What else a record
+//! shows, `cargo test --test daemon -- flight record` says.
 
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use messages::{CycleRecord, RecallCode};
-use messages::{Values, Wire};
+use hw_sim::FreeCamera;
+use ipc::{CameraPorts, Domain, Observer};
+use messages::{CycleRecord, Features, RecallCode, Stamp, Values, Wire};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
 use recording::{Recording, RecordingFile, Sink};
-use rustix::process::Signal;
+use scene::{Scene, read_starts};
 use serde_json::Value;
 
 use crate::fixture::{
-    Place, Running, Witness, ended, eventually, memory_file, program, scene_file, starts_file, turn,
+    PATIENCE, PERIOD_NS, Place, Running, ended, eventually, memory_file, program, repeats,
+    scene_file, starts_file,
 };
 
-/// Ten minutes at 30 Hz.
-const CYCLES: u64 = 18_000;
-/// From one cycle that is replayed by itself to the next; no multiple of the distance of snapshots.
-const APART: usize = 1999;
-/// Cycles from one snapshot to the next.
-const SNAPSHOTS: usize = 32;
+/// Frames from one start.
+const FRAMES: u32 = 100;
 
 /// Fields in which two runs may differ: times and what follows from them, properties of the
 /// machine, and the messages of robot and policy, which are not synchronised.
@@ -60,9 +62,9 @@ fn bits(values: Values<'_>) -> Vec<u64> {
     }
 }
 
-/// Cameras one after the other, each on another start with noise and lost frames, until the daemon
-/// has made its cycles; its flight record.
-fn fly(place: &Place) -> PathBuf {
+/// A camera with noise and lost frames, on one start after the other, and a daemon in lockstep, until
+/// it has made its cycles; its flight record.
+fn fly(place: &Place, cycles: u64) -> PathBuf {
     let text = "[flight]\ndirectory = 'records'\nminutes = 11\nat_exit = true\n";
     let mut command = testkit::command(program("vpcd"));
     command
@@ -72,27 +74,50 @@ fn fly(place: &Place) -> PathBuf {
     command.arg("--memory").arg(memory_file());
     command.args(["--strategy", "gpr", "--clock", "lockstep"]);
     command.arg("--domain").arg(place.domain());
-    command.args(["--cycles", &CYCLES.to_string()]);
+    command.args(["--cycles", &cycles.to_string()]);
     command.stdout(Stdio::null()).stderr(Stdio::piped());
-    let mut daemon = Running::start(command);
-    for start in (0..100).cycle() {
-        let mut camera = testkit::command(program("hw-sim"));
-        let number = start.to_string();
-        camera.arg("--scene").arg(scene_file());
-        camera
-            .arg("--starts")
-            .arg(starts_file())
-            .args(["--start", &number]);
-        camera.args(["--clock", "lockstep", "--time-limit", "30"]);
-        camera.args(["--noise", "0.3", "--drop", "0.01", "--seed", &number]);
-        camera.arg("--domain").arg(place.domain());
-        camera.stdout(Stdio::null()).stderr(Stdio::null());
-        let mut camera = Running::start(camera);
-        while camera.is_running() && daemon.is_running() {
-            std::thread::sleep(std::time::Duration::from_millis(2));
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut ports = CameraPorts::open(&domain).unwrap();
+    let mut observer = Observer::open(&domain).unwrap();
+    let daemon = Running::start(command);
+    let scene = Scene::read(&scene_file()).unwrap();
+    let mut starts = read_starts(&starts_file()).unwrap().into_iter().cycle();
+    let mut random = ChaCha8Rng::seed_from_u64(17);
+    let noise = Normal::new(0.0, 0.3).unwrap();
+    let (mut camera, mut twist, mut at_ns) = (None, [0.0; 6], 0);
+    let mut sequence = 0;
+    while sequence < cycles {
+        at_ns += PERIOD_NS;
+        let from_here = camera
+            .get_or_insert_with(|| (FreeCamera::new(&scene, &starts.next().unwrap()), FRAMES));
+        from_here.0.advance(&twist, scene.sampling_time());
+        from_here.1 -= 1;
+        let points = from_here.0.features().ok().filter(|_| from_here.1 > 0);
+        let Some(mut points) = points else {
+            (camera, twist) = (None, [0.0; 6]);
+            continue;
+        };
+        let coordinates = points.iter_mut().flatten();
+        coordinates.for_each(|x| *x += noise.sample(&mut random));
+        if random.random_bool(0.01) {
+            continue;
         }
-        if !daemon.is_running() {
-            break;
+        sequence += 1;
+        let mut features = Features::new(&points, at_ns);
+        features.stamp = Stamp {
+            sequence,
+            published_ns: at_ns,
+            data_ns: at_ns,
+        };
+        let sent = ports.features.publish_verbatim(&features).unwrap();
+        let answer = ports.wait_for_answer(&sent, PATIENCE).unwrap();
+        twist = answer.expect("an answer").message.twist;
+        // The recorder, which in lockstep nothing holds back, comes after.
+        if sequence.is_multiple_of(1_000) {
+            eventually("the record", || {
+                let newest = observer.cycles.latest().unwrap()?.message;
+                (newest.features_seen.sequence >= sequence).then_some(())
+            });
         }
     }
     let ended = daemon.ended();
@@ -143,22 +168,16 @@ fn write(place: &Place, flight: &Recording) -> PathBuf {
     path
 }
 
-fn flip(number: &mut f64) {
-    *number = f64::from_bits(number.to_bits() ^ 1);
-}
-
 #[test]
-#[ignore = "two minutes: CI runs it in a line of its own"]
 fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
-    let _turn = turn();
+    let cycles = repeats("cycles of each run", 320, 18_000) as u64;
     let (place_a, place_b) = (Place::new(), Place::new());
-    let (file_a, file_b) = std::thread::scope(|threads| {
-        let b = threads.spawn(|| fly(&place_b));
-        (fly(&place_a), b.join().unwrap())
-    });
+    let (file_a, file_b) = (fly(&place_a, cycles), fly(&place_b, cycles));
     let read = |path: &Path| Recording::read(path).unwrap();
     let (a, b) = (read(&file_a), read(&file_b));
-    assert_eq!((a.cycles.len(), b.cycles.len()), (18_000, 18_000));
+    for run in [&a, &b] {
+        assert_eq!(run.cycles.len() as u64, cycles);
+    }
     for (of_a, of_b) in a.cycles.iter().zip(&b.cycles) {
         let cycle = of_a.cycle;
         let (of_a, of_b) = (common(of_a), common(of_b));
@@ -169,17 +188,18 @@ fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
     }
     // Equality is not for want of life.
     let is_asked = |r: &&CycleRecord| r.recalled == RecallCode::Followed.code();
-    assert!(a.cycles.iter().filter(is_asked).count() > 500);
+    let asked = a.cycles.iter().filter(is_asked).count() as u64;
+    assert!(asked > cycles / 36, "{asked}");
 
     for file in [&file_a, &file_b] {
         let told = report(file, &[]);
         assert_eq!(
             (&told["cycles"], &told["skipped"]),
-            (&CYCLES.into(), &0.into())
+            (&cycles.into(), &0.into())
         );
     }
-
-    for cycle in (APART as u64..CYCLES).step_by(APART) {
+    let apart = repeats("cycles from one replayed by itself to the next", 149, 1_999);
+    for cycle in (apart as u64..cycles).step_by(apart) {
         let told = report(&file_a, &["--until", &cycle.to_string()]);
         assert_eq!(
             (&told["last"], &told["snapshots_restored"]),
@@ -187,103 +207,22 @@ fn run_a_is_run_b_is_the_replay_of_a_and_one_bit_more_is_told() {
         );
     }
 
-    let moving = a.cycles[9000..].iter().position(|r| r.iterations > 1);
-    let moving = 9000 + moving.unwrap();
-    let seen = a.cycles[moving].features_seen;
-    type Change = fn(&mut Recording, usize);
-    // Where it shows first: an input in what comes of it, the clock's reading in the state that the
-    // next snapshot holds. No decision in lockstep depends on it, so the cycle before a snapshot is
-    // the one that leaves a trace.
-    let cases: [(&str, Change, Option<&str>); 6] = [
-        (
-            "instant",
-            |f, at| {
-                let after = f.cycles[at].cycle;
-                let next = f.snapshots.iter().find(|snapshot| snapshot.cycle > after);
-                let before_next = next.unwrap().cycle - 1;
-                let mut cycles = f.cycles.iter_mut();
-                cycles
-                    .find(|record| record.cycle == before_next)
-                    .unwrap()
-                    .receive_ns ^= 1;
-            },
-            None,
-        ),
-        (
-            "twist",
-            |f, at| flip(&mut f.cycles[at].twist[0]),
-            Some("twist[0]"),
-        ),
-        ("cost", |f, at| flip(&mut f.cycles[at].cost), Some("cost")),
-        (
-            "iterations",
-            |f, at| f.cycles[at].iterations ^= 1,
-            Some("iterations"),
-        ),
-        ("hold", |f, at| f.cycles[at].hold ^= 1, Some("hold")),
-        (
-            "pixel",
-            |f, at| {
-                let seen = f.cycles[at].features_seen;
-                let mut features = f.features.iter_mut();
-                let message = features.find(|m| m.stamp == seen).unwrap();
-                flip(&mut message.points[0]);
-            },
-            Some("points[0]"),
-        ),
-    ];
-    assert!(seen.sequence > 0);
-    for (name, change, field) in cases {
-        let mut forged = a.clone();
-        change(&mut forged, moving);
-        let place = Place::new();
-        let (code, words) = replayed(&write(&place, &forged), &[]);
-        assert_eq!(code, 1, "{name}: {words}");
-        let words: Value = serde_json::from_str(&words).unwrap();
-        let difference = &words["difference"];
-        let cycle = difference["cycle"].as_u64().unwrap() as usize;
-        match field {
-            Some(field) => {
-                assert_eq!(difference["field"], field, "{name}: {words}");
-                assert_eq!(cycle, moving + 1, "{name}: {words}");
-            }
-            None => {
-                let shows = moving + 1..=moving + 1 + SNAPSHOTS;
-                assert!(shows.contains(&cycle), "{name}: {words}");
-            }
-        }
-    }
-
-    // A byte of the file, anywhere.
-    let bytes = std::fs::read(&file_a).unwrap();
-    for part in 1..8 {
-        let mut damaged = bytes.clone();
-        damaged[part * bytes.len() / 8] ^= 1;
-        let place = Place::new();
-        let (code, words) = replayed(&place.file("damaged.mcap", damaged), &[]);
-        assert_eq!(code, 65, "{words}");
-        assert!(words.contains("damaged.mcap: "), "{words}");
-    }
-}
-
-#[test]
-fn a_fault_in_real_time_leaves_a_record_that_replays() {
-    let _turn = turn();
-    let place = Place::new();
-    let daemon = Running::start(place.vpcd("[flight]\ndirectory = 'records'"));
-    let camera = Running::start(place.hw_sim(3));
-    let mut witness = Witness::new(&place);
-    witness.set_in_motion();
-    camera.kill();
-    let file = eventually("a flight record", || newest(&place));
-    let told = report(&file, &[]);
-    assert!(told["cycles"].as_u64().unwrap() > 3, "{told}");
-    let flight = Recording::read(&file).unwrap();
-    assert_eq!(flight.origin("cause"), Some("fault: stale features"));
-    // The arming is in it.
-    assert!(flight.cycles.iter().map(|r| r.requests).sum::<u32>() >= 1);
-    assert!(!flight.replies.is_empty());
-    daemon.signal(Signal::TERM);
-    let ended = daemon.ended();
-    assert_eq!(ended.code, Some(0), "{ended:?}");
+    // One bit of one pixel.
+    let half = a.cycles.len() / 2;
+    let moving = a.cycles[half..].iter().position(|r| r.iterations > 1);
+    let moving = half + moving.unwrap();
+    let mut forged = a.clone();
+    let mut features = forged.features.iter_mut();
+    let seen = features.find(|features| features.stamp == a.cycles[moving].features_seen);
+    let pixel = &mut seen.unwrap().points[0];
+    *pixel = f64::from_bits(pixel.to_bits() ^ 1);
+    let (code, words) = replayed(&write(&place_a, &forged), &[]);
+    assert_eq!(code, 1, "{words}");
+    let words: Value = serde_json::from_str(&words).unwrap();
+    let difference = (&words["difference"]["field"], &words["difference"]["cycle"]);
+    assert_eq!(
+        difference,
+        (&"points[0]".into(), &(moving + 1).into()),
+        "{words}"
+    );
 }

@@ -9,14 +9,23 @@ use memory_blob::MemoryFile;
 use serde_json::Value;
 
 use testkit::python::{Environment, run};
-
-use crate::fixture::{
-    Place, Running, memory_file, program, root, scene_file, starts_file, tell, turn,
+use testkit::{
+    Ended, Place, Running, ended, memory_file, program, root, scene_file, starts_file, tell,
 };
-use crate::memory::judged;
 
 /// The demo's start: without a memory, the camera stays in front of an occlusion.
 const START: &str = "74";
+
+/// The daemon's answer to a memory.
+fn judged(memory: &Path) -> Ended {
+    let mut command = testkit::command(program("vpcd"));
+    command
+        .arg("--scene")
+        .arg(scene_file())
+        .arg("--memory")
+        .arg(memory);
+    ended(command.args(["--strategy", "gpr", "--check-only"]))
+}
 
 /// What the referee says of a run of both processes, in lockstep.
 fn verdict(strategy: &str, memory: &Path) -> Value {
@@ -45,15 +54,8 @@ fn verdict(strategy: &str, memory: &Path) -> Value {
 }
 
 #[test]
-#[ignore = "half a minute: CI runs it in a line of its own"]
 fn the_daemon_reaches_the_goal_with_a_process_of_scikit_learn() {
-    let _turn = turn();
-    let environment = Environment {
-        name: "python-scikit",
-        requirements: &["memory-blob/python/requirements.txt"],
-        packages: &[],
-    };
-    let Some(python) = environment.python("a process of scikit-learn") else {
+    let Some(python) = Environment::JUDGES.python("a process of scikit-learn") else {
         return;
     };
     let place = Place::new();
@@ -71,7 +73,7 @@ fn the_daemon_reaches_the_goal_with_a_process_of_scikit_learn() {
     assert_ne!(with_it["error_px"], with_ours["error_px"]);
 
     let good = std::fs::read(&refit).unwrap();
-    assert_eq!(judged(&place, "refit.vpcmem").code, Some(0));
+    assert_eq!(judged(&refit).code, Some(0));
     let header = 8 + u64::from_le_bytes(good[..8].try_into().unwrap()) as usize;
     let layout: Value = serde_json::from_slice(&good[8..header]).unwrap();
     let tensors = layout.as_object().unwrap().iter();
@@ -83,8 +85,7 @@ fn the_daemon_reaches_the_goal_with_a_process_of_scikit_learn() {
         let at = header + tensor["data_offsets"][0].as_u64().unwrap() as usize;
         let mut bad = good.clone();
         bad[at] ^= 1;
-        place.file("bad.vpcmem", bad);
-        let said = judged(&place, "bad.vpcmem");
+        let said = judged(&place.file("bad.vpcmem", bad));
         assert_eq!(said.code, Some(65), "{name}: {said:?}");
         assert!(said.stderr.contains(name.as_str()), "{name}: {said:?}");
     }

@@ -13,12 +13,10 @@ use serde_json::Value;
 use system_tests::run::run;
 use system_tests::simulated::Simulated;
 use system_tests::spec::Spec;
-
 use testkit::python::{self, Environment};
-
-use crate::fixture::{
+use testkit::{
     Place, Running, are_installed, ended, memory_file, program, repeats, root, scene_file,
-    starts_file, tell, turn,
+    starts_file, tell,
 };
 
 /// The promise: one in so many starts at most.
@@ -84,7 +82,6 @@ fn stand_in(python: &Path, place: &Place, starts: usize) -> Vec<Outcome> {
 
 #[test]
 fn the_camera_in_python_comes_to_what_the_table_comes_to() {
-    let _turn = turn();
     let Some(python) = Environment::CLIENT.python("the camera in Python") else {
         return;
     };
@@ -121,7 +118,6 @@ fn the_camera_in_python_comes_to_what_the_table_comes_to() {
 
 #[test]
 fn the_camera_in_c_arrives() {
-    let _turn = turn();
     if !are_installed("the camera in C", &["cc=gcc"]) {
         return;
     }
@@ -166,7 +162,6 @@ fn camera_of_the_readme(heading: &str, place: &Place) -> PathBuf {
 
 #[test]
 fn the_simulated_camera_of_the_readme_runs_as_written() {
-    let _turn = turn();
     let Some(python) = Environment::CLIENT.python("the simulated camera of the README") else {
         return;
     };
@@ -186,7 +181,6 @@ fn the_simulated_camera_of_the_readme_runs_as_written() {
 
 #[test]
 fn the_readmes_real_time_camera_arrives() {
-    let _turn = turn();
     let Some(python) = Environment::CLIENT.python("the camera in real time of the README") else {
         return;
     };

@@ -4,7 +4,7 @@
 
 use std::process::Stdio;
 
-use crate::fixture::{Place, Running, ended, eventually, program, root, turn};
+use testkit::{Place, Running, ended, eventually, program, root, scene_file, starts_file, turn};
 
 #[test]
 fn the_bridge_to_copy_reaches_the_goal_without_a_reflex() {
@@ -27,7 +27,6 @@ fn the_bridge_to_copy_reaches_the_goal_without_a_reflex() {
 }
 
 #[test]
-#[ignore = "half a minute: CI runs it in a line of its own"]
 fn check_bridge_finds_no_fault_in_our_bridges() {
     let _turn = turn();
     let check = |place: &Place, scene: &str| {
@@ -49,7 +48,15 @@ fn check_bridge_finds_no_fault_in_our_bridges() {
     check(&place, "paper-robot.toml");
     drop(bridge);
     let place = Place::new();
-    let emulator = Running::start(place.hw_sim(0));
+    let mut emulator = testkit::command(program("hw-sim"));
+    emulator
+        .arg("--scene")
+        .arg(scene_file())
+        .arg("--starts")
+        .arg(starts_file());
+    emulator.args(["--start", "0", "--clock", "fixed", "--domain"]);
+    emulator.arg(place.domain()).stdout(Stdio::null());
+    let emulator = Running::start(emulator);
     check(&place, "paper-sim.toml");
     drop(emulator);
 }

@@ -4,14 +4,12 @@
 use std::path::Path;
 use std::process::Stdio;
 
-use crate::fixture::{PATIENCE, Place, Running, program, root, tell, turn};
+use testkit::{PATIENCE, Place, Running, program, root, tell};
 
 const FAMILY: &str = "DICT_4X4_50";
 
 #[test]
-#[ignore = "needs vpc-camera"]
 fn a_camera_arrives_by_aruco_markers() {
-    let _turn = turn();
     let place = Place::new();
     let scene = root().join("ipc/scene/scenes/tags-robot.toml");
     let scene = scene.display();
