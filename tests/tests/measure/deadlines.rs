@@ -100,9 +100,9 @@ pub fn measure(rate_hz: u32, sheet: &mut Sheet) {
     sheet.figure("decision p99", report.step_ns.p99 as f64 / 1e3, "us");
     sheet.figure("busy p99", report.busy_ns.p99 as f64 / 1e3, "us");
     sheet.figure("cycles disturbed", disturbed * 100.0, "%");
-    sheet.check(laps.count() >= cycles / 2, || {
-        format!("{} records of {cycles} cycles", laps.count())
-    });
+    if laps.count() < cycles / 2 {
+        sheet.lacks(format!("{} records of {cycles} cycles", laps.count()));
+    }
     sheet.check(own == 0, || {
         let first = missed.iter().find(|m| !m.is_the_machines);
         format!("{own} releases missed, first {first:?}")

@@ -13,12 +13,15 @@ use crate::fixture::{
     CAMERA_PRIORITY, Ended, PERIOD_NS, Place, Running, Stage, Witness, classes, ended, eventually,
     is_still, on_time, program, root, scene_file,
 };
-use crate::judge::{NotShown, in_time};
+use crate::judge::{Miss, NotShown, in_time};
 use crate::reference::Class;
 use crate::sheet::Sheet;
 
 /// From the end of what the hand did to the first zero twist, ns.
 const ZERO_NS: u64 = 3 * PERIOD_NS;
+
+/// Exit code of `vpcctl stop` where the controller does not answer within a second.
+const NO_ANSWER: i32 = 4;
 
 /// What a hand does in the directory of the domain `domain`; and whether the file can be used
 /// afterwards.
@@ -73,7 +76,12 @@ fn stopped_by(number: usize, line: &str, is_usable: bool) -> anyhow::Result<u64>
         // Where it is now, the file is the controller's.
         false => (stage.place.path("moved"), false),
     };
+    let from_ns = now_ns();
     let Ended { code, stdout, .. } = stop(&domain);
+    if code == Some(NO_ANSWER) {
+        let what = "vpcctl stop: no answer in time";
+        return Err(Miss::upset(what, Class::Ordinary, from_ns, now_ns()).into());
+    }
     assert_eq!(code, Some(0), "vpcctl stop after {line}: {stdout}");
     assert_eq!(stdout.contains("by a request"), by_request, "{stdout}");
     if !is_usable {

@@ -42,6 +42,19 @@ impl Miss {
         }
     }
 
+    /// Nothing, where it is so; else that it is not, as a late machine may cause.
+    pub fn unless(
+        is_so: bool,
+        what: impl FnOnce() -> String,
+        class: Class,
+        from_ns: u64,
+    ) -> Result<(), Self> {
+        match is_so {
+            true => Ok(()),
+            false => Err(Self::upset(what(), class, from_ns, now_ns())),
+        }
+    }
+
     /// Whether the machine was late enough to have caused it.
     pub fn is_the_machines(&self, seen: &Lateness) -> bool {
         match self.bar_ns {

@@ -244,7 +244,7 @@ fn measurements() -> Vec<Measurement> {
 /// Measures what needs the wall clock
 #[derive(Parser)]
 struct Arguments {
-    /// Measurements whose name has one of these words [default: all]
+    /// Measurements by their names, or by words in them [default: all]
     names: Vec<String>,
     /// At full length, with those that take an hour
     #[arg(long)]
@@ -258,12 +258,25 @@ struct Arguments {
 }
 
 impl Arguments {
-    fn names(&self, measurement: &Measurement) -> bool {
-        let is_named = |name: &String| measurement.name.contains(name.as_str());
-        match self.names.is_empty() {
-            true => self.long || self.list || !measurement.is_long,
-            false => self.names.iter().any(is_named),
-        }
+    /// The measurements that are asked for.
+    fn chosen(&self) -> Vec<Measurement> {
+        let all = measurements();
+        let is_asked = |measurement: &Measurement| {
+            let is_named = |name: &String| {
+                let is_whole = all.iter().any(|other| other.name == name);
+                match is_whole {
+                    true => measurement.name == name,
+                    false => measurement.name.contains(name.as_str()),
+                }
+            };
+            match self.names.is_empty() {
+                true => self.long || self.list || !measurement.is_long,
+                false => self.names.iter().any(is_named),
+            }
+        };
+        let asked: Vec<bool> = all.iter().map(is_asked).collect();
+        let chosen = all.into_iter().zip(asked).filter(|(_, is_asked)| *is_asked);
+        chosen.map(|(measurement, _)| measurement).collect()
     }
 }
 
@@ -272,8 +285,7 @@ fn main() -> ExitCode {
         orphans::play_a_harness();
     }
     let arguments = Arguments::parse();
-    let mut chosen = measurements();
-    chosen.retain(|measurement| arguments.names(measurement));
+    let chosen = arguments.chosen();
     if arguments.list {
         for Measurement { name, promise, .. } in &chosen {
             println!("{name}: {promise}");

@@ -15,7 +15,7 @@ use rustix::process::Signal;
 
 use crate::fixture::{PERIOD_NS, Place, Running, WAKE_NS, eventually, on_time, program, root};
 use crate::machine::may_be_real_time;
-use crate::reference::{Class, Reference};
+use crate::reference::Class;
 use crate::sheet::Sheet;
 
 /// The camera's rate, Hz; the daemon's is 30.
@@ -108,9 +108,10 @@ pub fn measure(sheet: &mut Sheet) {
     let class = Class::of_vpcd();
     let (mut spreads, mut worst) = (Vec::new(), 0.0_f64);
     for clock in ["fixed", "phase"] {
-        let reference = Reference::start(&[class]);
-        let (answers, with_camera) = answers(clock);
-        let seen = reference.end();
+        let run = || Ok(answers(clock));
+        let Some(((answers, with_camera), seen)) = sheet.round_beside(&[class], clock, run) else {
+            return;
+        };
         // Those before which the reference was in time.
         let is_quiet =
             |[from_ns, to_ns]: &&Answer| seen.between(class, from_ns - PERIOD_NS, *to_ns) < LATE_NS;
@@ -149,6 +150,6 @@ pub fn measure(sheet: &mut Sheet) {
     // The clock learns how late frames come, and waits for them.
     match is_kept || worst <= UNFIT {
         true => sheet.check(is_kept, || said),
-        false => sheet.disturbed(said),
+        false => sheet.lacks(format!("the reference was late: {said}")),
     }
 }

@@ -201,3 +201,56 @@ impl Lateness {
             .map(|(_, losses)| losses)
     }
 }
+
+#[test]
+fn lost_time_counts_by_its_share_on_the_worst_processor() {
+    let loss = |from_ns, to_ns, share| Loss {
+        from_ns,
+        to_ns,
+        share,
+    };
+    let first = vec![loss(10, 20, 1.0), loss(30, 50, 0.5)];
+    let second = vec![loss(32, 36, 1.0)];
+    let seen = Lateness(vec![(Class::Fifo, first), (Class::Fifo, second)]);
+    let cases = [
+        ((0, 5), 0),
+        ((0, 15), 5),
+        ((12, 14), 2),
+        ((15, 40), 10),
+        ((31, 37), 4),
+        ((0, 100), 20),
+        ((20, 30), 0),
+        ((50, 60), 0),
+    ];
+    for ((from, to), expected) in cases {
+        // Nobody else was at work: the same for either class.
+        for class in [Class::Fifo, Class::Ordinary] {
+            assert_eq!(seen.between(class, from, to), expected, "{from} to {to}");
+        }
+    }
+    assert_eq!(seen.longest_ns(Class::Fifo, 0, 100), 10);
+    assert_eq!(seen.longest_ns(Class::Fifo, 33, 35), 10);
+    assert_eq!(seen.longest_ns(Class::Fifo, 20, 30), 0);
+}
+
+#[test]
+fn a_thread_that_others_keep_from_its_processor_is_late() {
+    // Ordinary threads, on any machine, beside more work than it has processors for.
+    let end = AtomicBool::new(false);
+    let (from_ns, to_ns, seen) = std::thread::scope(|threads| {
+        let _end = crate::load::EndOnDrop(&end);
+        for _ in 0..4 * processors().len() {
+            threads.spawn(|| {
+                while !end.load(Ordering::Relaxed) {
+                    std::hint::spin_loop();
+                }
+            });
+        }
+        let reference = Reference::start(&[Class::Ordinary]);
+        let from_ns = now_ns();
+        std::thread::sleep(std::time::Duration::from_millis(500));
+        (from_ns, now_ns(), reference.end())
+    });
+    let lost_ns = seen.between(Class::Ordinary, from_ns, to_ns);
+    assert!(lost_ns > (to_ns - from_ns) / 4, "{lost_ns} ns");
+}

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::Measurement;
 use crate::judge::{Miss, NotShown};
-use crate::reference::{Class, Reference};
+use crate::reference::{Class, Lateness, Reference};
 
 /// A result.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -104,7 +104,11 @@ pub struct Sheet {
     /// Whether it runs at full length.
     pub is_long: bool,
     figures: Vec<Figure>,
+    /// Rounds that kept their bars, and checks of what no machine can cause.
     kept: usize,
+    checked: usize,
+    /// Whether its rounds repeat one thing.
+    is_repeated: bool,
     disturbed: Vec<String>,
     broken: Vec<String>,
     lacks: Vec<String>,
@@ -128,6 +132,11 @@ impl Sheet {
             let share = 100.0 * us as f64 / 1e6 / seconds;
             sheet.figure("cpu pressure", share, "%");
         }
+        if sheet.is_repeated && !sheet.disturbed.is_empty() {
+            let [kept, disturbed] = [sheet.kept, sheet.disturbed.len()];
+            sheet.figure("rounds", (kept + disturbed) as f64, "");
+            sheet.figure("disturbed", disturbed as f64, "");
+        }
         Finding {
             name: measurement.name,
             promise: measurement.promise,
@@ -145,13 +154,24 @@ impl Sheet {
         what: &str,
         round: impl FnOnce() -> anyhow::Result<T>,
     ) -> Option<T> {
+        let done = self.round_beside(classes, what, round);
+        done.map(|(value, _)| value)
+    }
+
+    /// The same, with how late the references were.
+    pub fn round_beside<T>(
+        &mut self,
+        classes: &[Class],
+        what: &str,
+        round: impl FnOnce() -> anyhow::Result<T>,
+    ) -> Option<(T, Lateness)> {
         let reference = Reference::start(classes);
         let done = catch_unwind(AssertUnwindSafe(round));
         let seen = reference.end();
         let error = match done {
             Ok(Ok(value)) => {
                 self.kept += 1;
-                return Some(value);
+                return Some((value, seen));
             }
             Ok(Err(error)) => error,
             Err(panic) => match panic.downcast::<anyhow::Error>() {
@@ -175,8 +195,9 @@ impl Sheet {
         None
     }
 
-    /// The number of rounds: `long` at full length.
-    pub fn repeats(&self, short: usize, long: usize) -> usize {
+    /// The number of rounds that repeat one thing, or of cycles: `long` at full length.
+    pub fn repeats(&mut self, short: usize, long: usize) -> usize {
+        self.is_repeated = true;
         if self.is_long { long } else { short }
     }
 
@@ -210,17 +231,12 @@ impl Sheet {
         }
     }
 
-    /// Something that no machine can cause: broken if it is not so. What is so was shown.
+    /// Something that no machine can cause: broken if it is not so.
     pub fn check(&mut self, is_so: bool, otherwise: impl FnOnce() -> String) {
         match is_so {
-            true => self.kept += 1,
+            true => self.checked += 1,
             false => self.broken.push(otherwise()),
         }
-    }
-
-    /// A round that the machine disturbed, as its measurement found by itself.
-    pub fn disturbed(&mut self, why: impl Into<String>) {
-        self.disturbed.push(why.into());
     }
 
     /// What the machine lacks for a part of it, or for all.
@@ -252,23 +268,28 @@ impl Sheet {
         is_root
     }
 
-    /// Kept where no round is broken, nothing is lacking, and the machine disturbed fewer rounds
-    /// than it let pass.
+    /// Kept where nothing is broken or lacking, and the machine disturbed no round; of rounds that
+    /// repeat one thing, fewer than it let pass.
     fn outcome(&self) -> Outcome {
-        let with_count = |all: &[String], word| match all {
-            [only] => only.clone(),
-            [first, ..] => format!("{first} ({} {word})", all.len()),
-            [] => "nothing was measured".to_owned(),
-        };
         if !self.broken.is_empty() {
             return Outcome::Broken(self.broken.join("; "));
         }
         if !self.lacks.is_empty() {
             return Outcome::NotShown(self.lacks.join("; "));
         }
-        match self.kept > self.disturbed.len() {
-            true => Outcome::Kept,
-            false => Outcome::NotShown(with_count(&self.disturbed, "rounds disturbed")),
+        let most = match self.is_repeated {
+            true => self.kept.saturating_sub(1),
+            false => 0,
+        };
+        match self.disturbed.as_slice() {
+            [] if self.kept + self.checked == 0 => {
+                Outcome::NotShown("nothing was measured".to_owned())
+            }
+            [first, ..] if self.disturbed.len() > most => {
+                let [disturbed, all] = [self.disturbed.len(), self.disturbed.len() + self.kept];
+                Outcome::NotShown(format!("{disturbed} of {all} rounds disturbed: {first}"))
+            }
+            _ => Outcome::Kept,
         }
     }
 }

@@ -16,7 +16,7 @@ use crate::fixture::{
     CAMERA_PRIORITY, PERIOD_NS, Place, Running, Witness, classes, eventually, is_still, on_time,
     program,
 };
-use crate::judge::in_time;
+use crate::judge::{Miss, in_time};
 use crate::load::EndOnDrop;
 use crate::reference::Class;
 use crate::sheet::Sheet;
@@ -90,7 +90,8 @@ fn attacked(round: usize) -> anyhow::Result<[u64; 2]> {
             .arg("stop")
             .output()?;
         let back_ns = now_ns();
-        assert!(stopped.status.success(), "{stopped:?}");
+        let what = || format!("vpcctl stop: {stopped:?}");
+        Miss::unless(stopped.status.success(), what, Class::Ordinary, begin_ns)?;
         let asked_ns = asked_ns(&directory)?;
         let mut commands = Vec::new();
         let zero_ns = eventually("a zero twist", || {
