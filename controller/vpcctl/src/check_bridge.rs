@@ -8,11 +8,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use clap::Args;
-use ipc::{Domain, Publisher, Subscriber, now_ns};
+use ipc::{Domain, Publisher, Subscriber};
 use messages::{MOST_OBEYED_NS, RobotState, TwistCommand, TwistState};
 use program::Exit;
 use scene::Scene;
 
+use crate::clock::Clock;
 use crate::failure::Failure;
 use crate::presence::Presence;
 use crate::units::{number, seconds};
@@ -55,7 +56,11 @@ fn share(text: &str) -> Result<f64, String> {
 ///
 /// # Errors
 /// A `vpcd` is at work, the scene cannot be read, or the ports cannot be used.
-pub fn check(directory: &Path, with: &CheckBridgeArguments) -> Result<(String, Exit), Failure> {
+pub fn check(
+    directory: &Path,
+    with: &CheckBridgeArguments,
+    clock: &mut dyn Clock,
+) -> Result<(String, Exit), Failure> {
     if let Some(process) = Presence::of(directory).process() {
         let domain = directory.display();
         let message = format!("domain {domain}: vpcd, process {process}, is at work; end it first");
@@ -64,6 +69,7 @@ pub fn check(directory: &Path, with: &CheckBridgeArguments) -> Result<(String, E
     let scene = Scene::read(&with.scene)?;
     let domain = Domain::join(directory)?;
     let mut play = Play {
+        clock,
         twists: domain.publisher()?,
         states: domain.subscriber(64)?,
         limits: scene.limits.velocity(),
@@ -94,7 +100,7 @@ pub fn check(directory: &Path, with: &CheckBridgeArguments) -> Result<(String, E
             ("expired", &|play| play.ignored(speed, Claim::Expired)),
             ("lockstep", &|play| play.ignored(speed, Claim::Lockstep)),
             ("future", &|play| play.ignored(speed, Claim::Future)),
-            ("limits", &Play::cuts),
+            ("limits", &|play| play.cuts()),
         ];
         for (name, check) in checks {
             tell(name, check(&mut play)?);
@@ -106,7 +112,7 @@ pub fn check(directory: &Path, with: &CheckBridgeArguments) -> Result<(String, E
 /// What is told of a check, or the failure of the shared memory.
 type Judged = Result<Result<String, String>, Failure>;
 
-type Check<'a> = &'a dyn Fn(&mut Play) -> Judged;
+type Check<'a> = &'a dyn Fn(&mut Play<'_>) -> Judged;
 
 /// What a command says about its validity.
 #[derive(Clone, Copy, PartialEq)]
@@ -131,7 +137,8 @@ struct Told {
 }
 
 /// The part of `vpcd`.
-struct Play {
+struct Play<'a> {
+    clock: &'a mut dyn Clock,
     twists: Publisher<TwistCommand>,
     states: Subscriber<RobotState>,
     limits: [f64; 6],
@@ -139,7 +146,7 @@ struct Play {
     sequence: u64,
 }
 
-impl Play {
+impl Play<'_> {
     /// Whether the bridge tells its state, freshly and at rest.
     fn tells(&mut self) -> Judged {
         let told = self.listen(SECOND, |_| Ok(()))?;
@@ -151,7 +158,7 @@ impl Play {
             .map(|pair| pair[1].at_ns - pair[0].at_ns)
             .max();
         let longest = longest.unwrap_or(SECOND);
-        if longest > FRESH_NS || now_ns() - last.at_ns > FRESH_NS {
+        if longest > FRESH_NS || self.clock.now_ns() - last.at_ns > FRESH_NS {
             let ms = longest / 1_000_000;
             return Ok(Err(format!(
                 "vpc/robot is silent for {ms} ms; allowed: 100 ms"
@@ -184,7 +191,7 @@ impl Play {
     /// Whether the camera stands 100 ms, and the time for stopping, after the last command.
     fn stops(&mut self, speed: f64, claim: Claim) -> Judged {
         self.listen(SECOND / 2, |play| play.command(speed, claim))?;
-        let last_ns = now_ns();
+        let last_ns = self.clock.now_ns();
         let told = self.listen(SECOND, |_| Ok(()))?;
         let until_ns = last_ns + MOST_OBEYED_NS + self.stopping_ns;
         let moving = told.iter().filter(|told| self.is_moving(&told.twist));
@@ -245,13 +252,13 @@ impl Play {
         time_ns: u64,
         act: impl Fn(&mut Self) -> Result<(), Failure>,
     ) -> Result<Vec<Told>, Failure> {
-        let end_ns = now_ns() + time_ns;
-        let mut next_ns = now_ns();
+        let end_ns = self.clock.now_ns() + time_ns;
+        let mut next_ns = self.clock.now_ns();
         let mut all = Vec::new();
         // Nothing from before.
         while self.states.oldest()?.is_some() {}
-        while now_ns() < end_ns {
-            if now_ns() >= next_ns {
+        while self.clock.now_ns() < end_ns {
+            if self.clock.now_ns() >= next_ns {
                 act(self)?;
                 next_ns += PERIOD_NS;
             }
@@ -260,14 +267,14 @@ impl Play {
                 let at_ns = stamp.published_ns;
                 all.push(Told { at_ns, twist });
             }
-            std::thread::sleep(Duration::from_nanos(LOOK_NS));
+            self.clock.pause(Duration::from_nanos(LOOK_NS));
         }
         Ok(all)
     }
 
     /// Sends a command along the camera's x axis.
     fn command(&mut self, speed: f64, claim: Claim) -> Result<(), Failure> {
-        let now = now_ns();
+        let now = self.clock.now_ns();
         let mut command = TwistCommand::zero(TwistState::Moving).valid_until(now + 3 * PERIOD_NS);
         command.twist[0] = speed;
         self.sequence += 1;

@@ -6,6 +6,7 @@
 
 pub mod arguments;
 pub mod check_bridge;
+pub mod clock;
 pub mod doctor;
 pub mod failure;
 pub mod flight;
@@ -43,6 +44,7 @@ use messages::{Action, Request};
 use program::Exit;
 
 use arguments::{Arguments, Command, RequestArguments};
+use clock::Monotonic;
 use failure::Failure;
 use image_plane::ImagePlane;
 use status::Asking;
@@ -83,7 +85,7 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Command::Stop(with) if with.all => stop::stop_all(with.request.timeout),
         Command::Stop(with) => stop::stop(&directory, with.request.timeout)?,
         Command::Flight(with) => flight::flight(&directory, with.timeout)?,
-        Command::Recover(with) => recover::recover(&directory, with.timeout)?,
+        Command::Recover(with) => recover::recover(&directory, with.timeout, &mut Monotonic)?,
         Command::Strategy(with) => {
             let (strategy, neighbours) = with.strategy;
             ask(request::strategy(strategy, neighbours), &with.request)?
@@ -100,7 +102,7 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             let findings = doctor::examine(&directory, with);
             doctor::report(&findings, output::colours())
         }
-        Command::CheckBridge(with) => check_bridge::check(&directory, with)?,
+        Command::CheckBridge(with) => check_bridge::check(&directory, with, &mut Monotonic)?,
         Command::Watch(with) => {
             let plane = ImagePlane::open(&directory, with.scene.as_deref())?;
             return watch::run(&directory, plane, with.neighbours);
@@ -119,7 +121,7 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             let watcher = Watcher::open(&directory)?;
             return serve::run(watcher, plane, with.listen, with.control);
         }
-        Command::Teach(with) => (teach::teach(&directory, with)?, Exit::Ok),
+        Command::Teach(with) => (teach::teach(&directory, with, &mut Monotonic)?, Exit::Ok),
         Command::Visit(with) => return visit::visit(&directory, with),
         Command::Init(with) => (init::init(with)?, Exit::Ok),
         Command::Completions { shell } => {

@@ -2,12 +2,13 @@
 //! itself. What counts is what the robot then tells.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use ipc::{OpenError, Publisher, Subscriber};
 use messages::{Action, Request, RobotMode, RobotState};
 use program::Exit;
 
+use crate::clock::{Clock, ns};
 use crate::failure::Failure;
 use crate::presence;
 use crate::request::plain;
@@ -21,23 +22,27 @@ const PAUSE: Duration = Duration::from_millis(10);
 ///
 /// # Errors
 /// There is no domain, no robot tells its state, or the ports cannot be used.
-pub fn recover(directory: &Path, timeout: Duration) -> Result<(String, Exit), Failure> {
-    let end = Instant::now() + timeout;
+pub fn recover(
+    directory: &Path,
+    timeout: Duration,
+    clock: &mut dyn Clock,
+) -> Result<(String, Exit), Failure> {
+    let end_ns = clock.now_ns().saturating_add(ns(timeout));
     let domain = presence::join(directory)?;
     let mut states: Subscriber<RobotState> = domain.subscriber(1)?;
     let mut requests: Publisher<Request> = loop {
         match domain.publisher() {
-            Err(OpenError::Taken { .. } | OpenError::Full { .. }) if Instant::now() < end => {
-                std::thread::sleep(PAUSE);
+            Err(OpenError::Taken { .. } | OpenError::Full { .. }) if clock.now_ns() < end_ns => {
+                clock.pause(PAUSE);
             }
             result => break result?,
         }
     };
     let mut newest = None;
-    let heard = Instant::now() + timeout.min(HEARD);
-    while newest.is_none() && Instant::now() < heard {
+    let heard_ns = clock.now_ns() + ns(timeout.min(HEARD));
+    while newest.is_none() && clock.now_ns() < heard_ns {
         newest = states.latest()?;
-        std::thread::sleep(PAUSE);
+        clock.pause(PAUSE);
     }
     let Some(state) = newest else {
         let message = format!(
@@ -54,7 +59,7 @@ pub fn recover(directory: &Path, timeout: Duration) -> Result<(String, Exit), Fa
         ));
     }
     requests.publish(&plain(Action::Recover))?;
-    while Instant::now() < end {
+    while clock.now_ns() < end_ns {
         // A bridge that joined just now hears it, too.
         requests.refresh()?;
         if let Some(state) = states.latest()?
@@ -63,7 +68,7 @@ pub fn recover(directory: &Path, timeout: Duration) -> Result<(String, Exit), Fa
             let line = format!("recover: done; the robot is {mode}; arm when it may move\n");
             return Ok((line, Exit::Ok));
         }
-        std::thread::sleep(PAUSE);
+        clock.pause(PAUSE);
     }
     let line = format!(
         "recover: the robot is still at fault after {} s; its bridge's log says why\n",

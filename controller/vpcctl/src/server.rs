@@ -306,4 +306,30 @@ mod tests {
         assert!(!same("http://127.0.0.1:2") && !same("null"));
         assert!(!is_same_origin(&headers(&[host])));
     }
+
+    #[test]
+    fn a_command_is_admitted_where_all_places_are_taken() {
+        use axum::body::Body;
+        use axum::routing::get;
+        use hyper::service::Service;
+
+        let runtime = tokio::runtime::Builder::new_current_thread().build();
+        let runtime = runtime.unwrap();
+        let places = Arc::new(Semaphore::new(1));
+        let routes = Router::new().route("/", get(async || "page").post(async || "done"));
+        // The place is held until the client goes.
+        let ask = |method: Method| {
+            let client = Arc::default();
+            let request = Request::builder().method(method).uri("/");
+            let service = TowerToHyperService::new(admitted(routes.clone(), &client, &places));
+            let answer = service.call(request.body(Body::empty()).unwrap());
+            (client, runtime.block_on(answer).unwrap().status())
+        };
+        let (first, status) = ask(Method::GET);
+        assert_eq!(status, StatusCode::OK);
+        assert_eq!(ask(Method::GET).1, StatusCode::SERVICE_UNAVAILABLE);
+        assert_eq!(ask(Method::POST).1, StatusCode::OK);
+        drop(first);
+        assert_eq!(ask(Method::GET).1, StatusCode::OK);
+    }
 }

@@ -16,7 +16,7 @@ use crate::request;
 /// Pause between two looks for the file.
 const PAUSE: Duration = Duration::from_millis(10);
 /// How long the daemon is asked for, after the file, at least.
-const ASKING: Duration = Duration::from_millis(300);
+const ASKING: Duration = Duration::from_secs(1);
 
 /// Stops the daemon of this domain, and waits until it says so: a line, and the exit code.
 ///

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use clap::Args;
 use ipc::Subscriber;
@@ -18,6 +18,7 @@ use program::Exit;
 use scene::{Scene, with_value};
 use vpc::{Task, camera, pose};
 
+use crate::clock::{Clock, ns};
 use crate::failure::Failure;
 use crate::presence;
 use crate::take_up::{self, Daemon, with_suffix};
@@ -87,9 +88,13 @@ struct Seen {
 /// The file exists, no features come, the daemon is armed, the camera moves, the points are not
 /// those of the pattern, or the goal is none, because a point would be in an occlusion. Also those
 /// of [`Daemon`].
-pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure> {
+pub fn teach(
+    directory: &Path,
+    with: &TeachArguments,
+    clock: &mut dyn Clock,
+) -> Result<String, Failure> {
     let Some(output) = &with.output else {
-        return replace(directory, with.watch, &*program::stop_on_signals()?);
+        return replace(directory, with.watch, &*program::stop_on_signals()?, clock);
     };
     let name = output.display();
     if !with.force && output.symlink_metadata().is_ok() {
@@ -110,7 +115,7 @@ pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure>
     }
     let of_daemon = || directory.join(ipc::SCENE_FILE);
     let old = with.scene.clone().unwrap_or_else(of_daemon);
-    let mut text = write(directory, &old, output, with.watch)?;
+    let mut text = write(directory, &old, output, with.watch, clock)?;
     let _ = writeln!(text, "wrote {name}");
     let next = format!("vpcd --scene {name} --memory {}", memory.display());
     let _ = match with.build {
@@ -131,7 +136,12 @@ pub fn teach(directory: &Path, with: &TeachArguments) -> Result<String, Failure>
 ///
 /// # Errors
 /// As [`teach`].
-pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<String, Failure> {
+pub fn replace(
+    directory: &Path,
+    watch: Duration,
+    stop: &AtomicBool,
+    clock: &mut dyn Clock,
+) -> Result<String, Failure> {
     let _turn = take_up::turn(directory)?;
     let daemon = Daemon::of(directory)?;
     let scene = with_suffix(&daemon.scene, ".taught");
@@ -143,13 +153,13 @@ pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<S
             fs::remove_file(&left).map_err(Failure::write(&left))?;
         }
     }
-    let mut text = write(directory, &daemon.scene, &scene, watch)?;
+    let mut text = write(directory, &daemon.scene, &scene, watch, clock)?;
     if let Some(memory) = &memory {
         take_up::build(&scene, memory)?;
     }
     let points = Scene::read(&scene)?.pattern.len();
     daemon.take_up(&scene, memory.as_deref(), true, stop)?;
-    await_features(directory, points, stop);
+    await_features(directory, points, stop, clock);
     let _ = writeln!(
         text,
         "the daemon has begun again with {}, disarmed\nnext: vpcctl arm",
@@ -159,12 +169,19 @@ pub fn replace(directory: &Path, watch: Duration, stop: &AtomicBool) -> Result<S
 }
 
 /// Looks, and writes the scene: what was seen.
-fn write(directory: &Path, path: &Path, output: &Path, watch: Duration) -> Result<String, Failure> {
+fn write(
+    directory: &Path,
+    path: &Path,
+    output: &Path,
+    watch: Duration,
+    clock: &mut dyn Clock,
+) -> Result<String, Failure> {
     let old = Scene::read(path)?;
     let domain = presence::join(directory)?;
     let mut cycles = domain.subscriber(usize::MAX)?;
-    await_disarmed(&mut cycles)?;
-    let seen = look(domain.subscriber(usize::MAX)?, old.pattern.len(), watch);
+    await_disarmed(&mut cycles, clock)?;
+    let features = domain.subscriber(usize::MAX)?;
+    let seen = look(features, old.pattern.len(), watch, clock);
     check_disarmed(cycles)?;
     let seen = seen?;
     let text = fs::read_to_string(path)?;
@@ -202,9 +219,11 @@ fn look(
     mut features: Subscriber<Features>,
     points: usize,
     watch: Duration,
+    clock: &mut dyn Clock,
 ) -> Result<Seen, Failure> {
-    let (end, mut images, mut others) = (Instant::now() + watch, Vec::new(), 0);
-    while Instant::now() < end {
+    let end_ns = clock.now_ns().saturating_add(ns(watch));
+    let (mut images, mut others) = (Vec::new(), 0);
+    while clock.now_ns() < end_ns {
         while let Some(message) = features.oldest()? {
             let whole = (1_u32 << points.min(MAX_POINTS)) - 1;
             match message.count as usize == points && message.visible & whole == whole {
@@ -212,7 +231,7 @@ fn look(
                 false => others += 1,
             }
         }
-        std::thread::sleep(PAUSE);
+        clock.pause(PAUSE);
     }
     let seconds = watch.as_secs_f64();
     if images.is_empty() && others == 0 {
@@ -230,20 +249,24 @@ fn look(
 }
 
 /// Waits until a daemon that was just disarmed stands: an armed one would pull against the hand.
-fn await_disarmed(cycles: &mut Subscriber<CycleRecord>) -> Result<(), Failure> {
-    let (begin, mut newest) = (Instant::now(), None);
+fn await_disarmed(
+    cycles: &mut Subscriber<CycleRecord>,
+    clock: &mut dyn Clock,
+) -> Result<(), Failure> {
+    let (begin_ns, mut newest) = (clock.now_ns(), None);
     loop {
         while let Some(record) = cycles.oldest()? {
             newest = TwistState::from_code(record.state);
         }
+        let waited = Duration::from_nanos(clock.now_ns() - begin_ns);
         match newest {
             Some(TwistState::Disarmed | TwistState::Stopped) => return Ok(()),
-            Some(TwistState::Braking) if begin.elapsed() < BRAKING => (),
-            None if begin.elapsed() < SILENCE => (),
+            Some(TwistState::Braking) if waited < BRAKING => (),
+            None if waited < SILENCE => (),
             None => return Ok(()),
             Some(_) => return Err(is_armed()),
         }
-        std::thread::sleep(PAUSE);
+        clock.pause(PAUSE);
     }
 }
 
@@ -265,7 +288,7 @@ fn is_armed() -> Failure {
 
 /// Waits until a daemon that has begun again sees a pattern of so many points, so that it can be
 /// armed. Not for long, as the pattern may be hidden by now: the goal is taken up all the same.
-fn await_features(directory: &Path, points: usize, stop: &AtomicBool) {
+fn await_features(directory: &Path, points: usize, stop: &AtomicBool, clock: &mut dyn Clock) {
     let Ok(domain) = presence::join(directory) else {
         return;
     };
@@ -275,14 +298,15 @@ fn await_features(directory: &Path, points: usize, stop: &AtomicBool) {
     let is_whole = |record: &CycleRecord| {
         record.count as usize == points && (0..points).all(|point| record.sees(point))
     };
-    let (begin, begin_ns, mut seen) = (Instant::now(), ipc::now_ns(), 0);
-    while seen < SEEN && begin.elapsed() < BEGINS && !stop.load(Ordering::Relaxed) {
+    let (begin_ns, mut seen) = (clock.now_ns(), 0);
+    let end_ns = begin_ns + ns(BEGINS);
+    while seen < SEEN && clock.now_ns() < end_ns && !stop.load(Ordering::Relaxed) {
         while let Ok(Some(record)) = cycles.oldest() {
             // It refuses an earlier one: what moved the camera since then is not known.
             let is_new = record.features_seen.data_ns > begin_ns;
             seen += usize::from(is_new && is_whole(&record));
         }
-        std::thread::sleep(PAUSE);
+        clock.pause(PAUSE);
     }
 }
 

@@ -24,6 +24,7 @@ use program::Exit;
 use tokio::sync::Semaphore;
 use tokio::time::Interval;
 
+use crate::clock::Monotonic;
 use crate::failure::Failure;
 use crate::image_plane::ImagePlane;
 use crate::server::{self, field, is_same_origin, refusal};
@@ -106,7 +107,7 @@ pub fn run(
     let routes = server::for_plain_hosts(routes);
     let show = |watcher: &Watcher| {
         if let Some(image) = &watcher.image {
-            server.pictures.show(image);
+            server.pictures.show(image, Instant::now());
         }
     };
     let work = status::keep(&server.status, &mut watcher, EVENT, show);
@@ -114,7 +115,7 @@ pub fn run(
 }
 
 async fn image(State(server): State<Arc<Server>>, headers: HeaderMap) -> Response {
-    server.pictures.answer(&headers)
+    server.pictures.answer(&headers, Instant::now())
 }
 
 async fn events(
@@ -193,7 +194,7 @@ async fn show_goal(State(server): State<Arc<Server>>, headers: HeaderMap) -> Res
         Ok(directory) => directory,
         Err(why) => return refusal(StatusCode::FORBIDDEN, why),
     };
-    let taught = move || teach::replace(&directory, LOOK, &AtomicBool::new(false));
+    let taught = move || teach::replace(&directory, LOOK, &AtomicBool::new(false), &mut Monotonic);
     match tokio::task::spawn_blocking(taught).await {
         Ok(Ok(lines)) => lines.into_response(),
         Ok(Err(failure)) => refusal(StatusCode::CONFLICT, &failure.to_string()),

@@ -44,24 +44,25 @@ struct State {
 
 impl Pictures {
     /// Takes in the newest image, if a page asked lately and has not got it.
-    pub fn show(&self, image: &Image) {
+    pub fn show(&self, image: &Image, now: Instant) {
         let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let within = |at: Option<Instant>, span| at.is_some_and(|at| at.elapsed() < span);
+        let since = |at: Instant| now.saturating_duration_since(at);
+        let within = |at: Option<Instant>, span| at.is_some_and(|at| since(at) < span);
         if !within(state.asked, INTEREST) || within(state.made, PAUSE) {
             return;
         }
         let tag = tag(image.header());
         if state.newest.as_ref().is_none_or(|shown| shown.tag != tag) {
             state.newest = picture(image, tag);
-            state.made = Some(Instant::now());
+            state.made = Some(now);
         }
     }
 
     /// The answer to a page: 200 with the picture, 304 if it has that one, 204 if there is none.
-    pub fn answer(&self, headers: &HeaderMap) -> Response {
+    pub fn answer(&self, headers: &HeaderMap, now: Instant) -> Response {
         let newest = {
             let mut state = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            state.asked = Some(Instant::now());
+            state.asked = Some(now);
             state.newest.clone()
         };
         let Some(Picture { shape, tag, bytes }) = newest else {
@@ -183,20 +184,27 @@ mod tests {
             subscriber.latest().unwrap().unwrap()
         };
         let (pictures, mut headers) = (Pictures::default(), HeaderMap::new());
-        pictures.show(&next());
-        let status = |headers: &HeaderMap| pictures.answer(headers).status();
-        assert_eq!(status(&headers), StatusCode::NO_CONTENT);
-        pictures.show(&next());
-        let answer = pictures.answer(&headers);
-        assert_eq!(answer.status(), StatusCode::OK);
-        headers.insert(IF_NONE_MATCH, answer.headers()[ETAG].clone());
-        assert_eq!(status(&headers), StatusCode::NOT_MODIFIED);
+        let begin = Instant::now();
+        let answer = |headers: &HeaderMap, at| pictures.answer(headers, begin + at);
+        let status = |headers: &HeaderMap, at| answer(headers, at).status();
+        pictures.show(&next(), begin);
+        assert_eq!(status(&headers, Duration::ZERO), StatusCode::NO_CONTENT);
+        pictures.show(&next(), begin);
+        let first = answer(&headers, Duration::ZERO);
+        assert_eq!(first.status(), StatusCode::OK);
+        headers.insert(IF_NONE_MATCH, first.headers()[ETAG].clone());
+        assert_eq!(status(&headers, Duration::ZERO), StatusCode::NOT_MODIFIED);
         // Too early, then late enough.
         let image = next();
-        pictures.show(&image);
-        assert_eq!(status(&headers), StatusCode::NOT_MODIFIED);
-        std::thread::sleep(PAUSE);
-        pictures.show(&image);
-        assert_eq!(status(&headers), StatusCode::OK);
+        let early = PAUSE - Duration::from_millis(1);
+        pictures.show(&image, begin + early);
+        assert_eq!(status(&headers, early), StatusCode::NOT_MODIFIED);
+        pictures.show(&image, begin + PAUSE);
+        assert_eq!(status(&headers, PAUSE), StatusCode::OK);
+        // Nobody has asked for a second.
+        let late = PAUSE + INTEREST;
+        pictures.show(&next(), begin + late);
+        let last = answer(&headers, late);
+        assert_eq!(last.headers()[ETAG], tag(image.header()));
     }
 }

@@ -1,13 +1,14 @@
-//! `check-bridge`, against bridges that keep the rules and bridges that break one each.
+//! `check-bridge`, against bridges that keep the rules and bridges that break one each. Bridge and
+//! check take turns on a clock that no machine delays.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{Domain, Publisher, Subscriber, now_ns};
+use ipc::{Domain, Publisher, Subscriber};
 use messages::{RobotState, TwistCommand};
-
-use crate::{stderr, stdout, vpcctl};
+use program::Exit;
+use vpcctl::check_bridge::{CheckBridgeArguments, check};
+use vpcctl::clock::Clock;
 
 /// The limit of vx in the paper's scene, m/s.
 const LIMIT: f64 = 0.5;
@@ -32,19 +33,40 @@ enum Sin {
     Unlimited,
 }
 
-/// Carries out commands until `end`.
-fn bridge(directory: &Path, sin: Sin, end: &AtomicBool) {
-    let domain = Domain::join(directory).unwrap();
-    let mut twists: Subscriber<TwistCommand> = domain.subscriber(4).unwrap();
-    let mut states: Publisher<RobotState> = domain.publisher().unwrap();
-    let mut newest = TwistCommand::zero(messages::TwistState::Stopped);
-    while !end.load(Ordering::Relaxed) {
-        if let Some(command) = twists.latest().unwrap() {
-            newest = command.message;
+/// A bridge, and the clock: it does its work while the check waits.
+struct Bridge {
+    sin: Sin,
+    twists: Subscriber<TwistCommand>,
+    states: Publisher<RobotState>,
+    newest: TwistCommand,
+    sequence: u64,
+    now_ns: u64,
+}
+
+/// Between two states of the robot, ns.
+const PERIOD_NS: u64 = 4_000_000;
+
+impl Bridge {
+    fn join(directory: &Path, sin: Sin) -> Self {
+        let domain = Domain::join(directory).unwrap();
+        Self {
+            sin,
+            twists: domain.subscriber(4).unwrap(),
+            states: domain.publisher().unwrap(),
+            newest: TwistCommand::zero(messages::TwistState::Stopped),
+            sequence: 0,
+            now_ns: ipc::now_ns(),
         }
-        let now = now_ns();
+    }
+
+    /// Carries out the newest command, and tells so.
+    fn work(&mut self) {
+        if let Some(command) = self.twists.latest().unwrap() {
+            self.newest = command.message;
+        }
+        let (newest, now) = (&self.newest, self.now_ns);
         let is_forever = newest.valid_until_ns == u64::MAX;
-        let obeys = match sin {
+        let obeys = match self.sin {
             Sin::Forever => true,
             Sin::Trusting => {
                 !is_forever && newest.is_valid_at(now) && newest.stamp.published_ns <= now
@@ -55,33 +77,49 @@ fn bridge(directory: &Path, sin: Sin, end: &AtomicBool) {
             _ => newest.in_force(now) != [0.0; 6],
         };
         let mut twist = if obeys { newest.twist } else { [0.0; 6] };
-        if sin != Sin::Unlimited {
+        if self.sin != Sin::Unlimited {
             twist[0] = twist[0].clamp(-LIMIT, LIMIT);
         }
         let mut state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], now);
         state.twist = twist;
-        if sin != Sin::Mute {
-            states.publish(&state).unwrap();
+        self.sequence += 1;
+        (state.stamp.sequence, state.stamp.published_ns) = (self.sequence, now);
+        if self.sin != Sin::Mute {
+            self.states.publish_verbatim(&state).unwrap();
         }
-        std::thread::sleep(Duration::from_millis(4));
+    }
+}
+
+impl Clock for Bridge {
+    fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+
+    fn pause(&mut self, time: Duration) {
+        let end_ns = self.now_ns + time.as_nanos() as u64;
+        while self.now_ns < end_ns {
+            let next_ns = (self.now_ns + 1).next_multiple_of(PERIOD_NS);
+            self.now_ns = next_ns.min(end_ns);
+            if self.now_ns == next_ns {
+                self.work();
+            }
+        }
     }
 }
 
 /// What `check-bridge` says of such a bridge.
-fn checked(sin: Sin) -> (String, Option<i32>) {
+fn checked(sin: Sin) -> (String, Exit) {
     let directory = tempfile::tempdir().unwrap();
     let scene = directory.path().join("scene.toml");
     std::fs::write(&scene, scene::PAPER_SIM).unwrap();
     let domain = directory.path().join("domain");
-    let end = AtomicBool::new(false);
-    std::thread::scope(|threads| {
-        threads.spawn(|| bridge(&domain, sin, &end));
-        let scene = scene.to_str().unwrap();
-        let said = vpcctl(&domain, &["check-bridge", "--scene", scene]);
-        end.store(true, Ordering::Relaxed);
-        assert_eq!(stderr(&said), "");
-        (stdout(&said), said.status.code())
-    })
+    let mut bridge = Bridge::join(&domain, sin);
+    let arguments = CheckBridgeArguments {
+        scene,
+        speed: 0.1,
+        stopping: Duration::from_millis(300),
+    };
+    check(&domain, &arguments, &mut bridge).unwrap()
 }
 
 #[test]
@@ -105,15 +143,14 @@ fn each_broken_rule_of_a_bridge_is_named() {
         (Sin::Future, &["future"]),
         (Sin::Unlimited, &["limits"]),
     ];
-    let found: Vec<_> = std::thread::scope(|threads| {
-        let checks = expected.map(|(sin, _)| threads.spawn(move || checked(sin)));
-        checks
-            .into_iter()
-            .map(|check| check.join().unwrap())
-            .collect()
-    });
-    for ((sin, names), (text, code)) in expected.into_iter().zip(found) {
+    for (sin, names) in expected {
+        let (text, exit) = checked(sin);
         assert_eq!(failing(&text), names, "{sin:?}:\n{text}");
-        assert_eq!(code, Some(i32::from(!names.is_empty())), "{sin:?}");
+        let expected = if names.is_empty() {
+            Exit::Ok
+        } else {
+            Exit::Attention
+        };
+        assert_eq!(exit, expected, "{sin:?}");
     }
 }

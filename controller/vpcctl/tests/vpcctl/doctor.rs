@@ -1,29 +1,18 @@
-//! `doctor`, `completions` and `man`.
+//! `doctor` and `man`.
 
 use crate::stand_in::{Manner, StandIn};
 use crate::{stdout, vpcctl};
 
 #[test]
-fn doctor_tells_a_sound_daemon_from_a_hanging_one_and_from_none() {
+fn doctor_tells_a_hanging_daemon_from_none() {
     let directory = tempfile::tempdir().unwrap();
-    let words = ["doctor", "--watch", "0.3"];
+    let words = ["doctor", "--watch", "0.1"];
     let none = vpcctl(directory.path(), &words);
     assert!(
         stdout(&none).contains("warn  daemon      none is at work"),
         "{}",
         stdout(&none)
     );
-    {
-        let _daemon = StandIn::sound(directory.path());
-        let text = stdout(&vpcctl(directory.path(), &words));
-        assert!(text.contains("disarmed: not armed"), "{text}");
-        assert!(text.contains("-> vpcctl arm"), "{text}");
-        assert!(text.contains("2 overruns in"), "{text}");
-        assert!(
-            text.contains("ok    camera      4 points, 33.0 ms old"),
-            "{text}"
-        );
-    }
     let manner = Manner {
         answers: false,
         cycles: false,
@@ -49,21 +38,8 @@ fn doctor_checks_files_without_a_domain_and_makes_none() {
 }
 
 #[test]
-fn bash_takes_the_completions_and_man_takes_the_pages() {
+fn the_pages_of_the_manual_are_written() {
     let directory = tempfile::tempdir().unwrap();
-    let script = directory.path().join("vpcctl.bash");
-    let output = vpcctl(directory.path(), &["completions", "bash"]);
-    std::fs::write(&script, &output.stdout).unwrap();
-    // Completes a word as bash would.
-    let probe = format!(
-        "source {}; COMP_WORDS=(vpcctl dis); COMP_CWORD=1; _vpcctl vpcctl dis vpcctl; echo \"${{COMPREPLY[*]}}\"",
-        script.display()
-    );
-    let bash = testkit::command("bash")
-        .args(["-c", &probe])
-        .output()
-        .unwrap();
-    assert_eq!(stdout(&bash).trim(), "disarm", "{bash:?}");
     let man = directory.path().join("man1");
     let output = vpcctl(directory.path(), &["man", man.to_str().unwrap()]);
     assert_eq!(output.status.code(), Some(0));

@@ -1,91 +1,48 @@
-//! `record` and `plot` as processes, on a run of the real daemon and the real emulator.
+//! `plot` as a process, on a recording that is written here, and what `record` refuses.
 
 use std::path::{Path, PathBuf};
-use std::process::{Output, Stdio};
-use std::sync::OnceLock;
+use std::process::Output;
 
-use recording::{Recording, RecordingFile};
+use messages::{CycleRecord, Order};
+use recorder::Recorder;
+use recording::RecordingFile;
+use scene::SceneFiles;
 use serde_json::Value;
-use testkit::python::{self, Environment, script};
-use testkit::{Place, Running, ended, memory_file, program, root, scene_file, starts_file};
+use testkit::{Place, scene_file};
 
 use crate::{painted_scene, stderr, stdout, vpcctl};
 
-/// A recorded run.
-struct Flight {
-    /// What `record` printed at its end.
-    summary: String,
-    /// ... and meanwhile, to standard error.
-    said: String,
-    place: Place,
-}
+/// Cycles of the recording.
+const CYCLES: u64 = 20;
 
-impl Flight {
-    fn file(&self) -> PathBuf {
-        self.place.path("run.mcap")
-    }
-
-    fn words(&self) -> String {
-        self.file().display().to_string()
-    }
-}
-
-/// Recorded once for all tests. A starved machine may lose messages, and says so: then once more.
-fn flight() -> &'static Flight {
-    static FLIGHT: OnceLock<Flight> = OnceLock::new();
-    FLIGHT.get_or_init(|| {
-        let complete = |flight: &Flight| {
-            let recording = Recording::read(&flight.file()).unwrap();
-            let first = recording.cycles.first().map(|cycle| cycle.cycle);
-            !flight.summary.contains("lost") && first == Some(1)
+/// A recording of features on their way to the goal of the paper's scene.
+fn recorded(place: &Place) -> PathBuf {
+    let path = place.path("run.mcap");
+    let files = SceneFiles::read(&scene_file()).unwrap();
+    let goal: Vec<f64> = files.scene.goal_px().flatten().collect();
+    let mut file = Recorder::create(&path, false).unwrap();
+    file.describe(&files).unwrap();
+    for k in 0..CYCLES {
+        let mut cycle = CycleRecord {
+            cycle: k + 1,
+            features_sequence: k + 1,
+            count: 4,
+            overruns: k / 8,
+            step_ns: 30_000 + 17 * k,
+            ..CycleRecord::default()
         };
-        let mut flights = (0..5).map(|_| fly());
-        let flight = flights.find(complete);
-        flight.expect("messages were lost each time")
-    })
-}
-
-/// Three seconds of the paper's scene from its 82nd start under `gpr`; the recording is begun
-/// before.
-fn fly() -> Flight {
-    let place = Place::new();
-    let config = place.file(
-        "vpcd.toml",
-        format!(
-            "scene = '{}'\nmemory = '{}'\n[law]\nstrategy = 'gpr'\nnp = 4\n",
-            scene_file().display(),
-            memory_file().display()
-        ),
-    );
-    let with_domain = |program: PathBuf| {
-        let mut command = testkit::command(program);
-        command.arg("--domain").arg(place.domain());
-        command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        command
-    };
-    let mut record = with_domain(env!("CARGO_BIN_EXE_vpcctl").into());
-    record.arg("record").arg(place.path("run.mcap"));
-    let mut vpcd = with_domain(program("vpcd"));
-    vpcd.arg("--config").arg(&config).arg("--arm");
-    let mut hw_sim = with_domain(program("hw-sim"));
-    hw_sim.arg("--scene").arg(scene_file());
-    hw_sim.arg("--starts").arg(starts_file());
-    hw_sim.args(["--start", "82", "--time-limit", "3"]);
-
-    let mut record = Running::start(&mut record);
-    record.line("waiting for vpcd in domain");
-    let vpcd = Running::start(vpcd);
-    // 1: it has not arrived yet.
-    let code = ended(hw_sim).code;
-    assert!(code.is_some_and(|code| code <= 1), "{code:?}");
-    assert_eq!(vpcd.terminated().code, Some(0));
-    let recorded = record.terminated();
-    assert_eq!(recorded.code, Some(0), "{}", recorded.stderr);
-    Flight {
-        summary: recorded.stdout,
-        said: recorded.stderr,
-        place,
+        cycle.stamp.sequence = k + 1;
+        cycle.stamp.data_ns = 1_000_000_000 + k * 33_333_333;
+        cycle.stamp.published_ns = cycle.stamp.data_ns + 40_000;
+        let away = 3.0 * (CYCLES - k) as f64;
+        for (at, x) in goal.iter().enumerate() {
+            cycle.points[at] = x + away;
+        }
+        cycle.error_px = away;
+        file.take(&cycle, Order::Next).unwrap();
     }
+    file.finish().unwrap();
+    path
 }
 
 /// `plot`, which does not look at a domain.
@@ -98,67 +55,12 @@ fn json(output: &Output) -> Value {
 }
 
 #[test]
-fn a_run_is_recorded_as_others_count_it() {
-    let flight = flight();
-    let recording = Recording::read(&flight.file()).unwrap();
-    let counts = [
-        ("/vpc/features", recording.features.len()),
-        ("/vpc/twist", recording.twist.len()),
-        ("/vpc/robot", recording.robot.len()),
-        ("/vpc/cycles", recording.cycles.len()),
-    ];
-    for (topic, count) in counts {
-        // Three seconds at 30 Hz, and each message once, from the first to the last.
-        assert!(count > 20, "{topic}: {count}");
-        let words = format!(" {topic} {count}");
-        assert!(
-            flight.summary.contains(&words),
-            "{words}: {}",
-            flight.summary
-        );
-    }
-    assert_eq!(Recording::missing(&recording.features), 0);
-    assert_eq!(Recording::missing(&recording.twist), 0);
-    assert_eq!(
-        (&recording.cut, recording.config().is_some()),
-        (&None, true)
-    );
-    assert_eq!(recording.scene_toml(), Some(scene::PAPER_SIM));
-    assert!(
-        flight.said.contains("recording: vpcd is running"),
-        "{}",
-        flight.said
-    );
-    let environment = Environment {
-        name: "python-mcap",
-        requirements: &["controller/recorder/tests/python/requirements.txt"],
-        packages: &[],
-    };
-    if let Some(python) = environment.python("a_run_is_recorded_as_others_count_it") {
-        let program = root().join("controller/recorder/tests/python/check.py");
-        let mut check = script(&python, &program);
-        let found = python::run(check.arg("values").arg(flight.file())).unwrap();
-        let found: Vec<_> = found.lines().map(str::to_owned).collect();
-        for (topic, count) in counts {
-            let line = format!("count {topic} {count}");
-            assert!(found.contains(&line), "{line}");
-        }
-        // The values, too: as many exact messages as were counted (`check.py` compares numbers and
-        // stamps inside).
-        let twists = found
-            .iter()
-            .filter(|line| line.starts_with("message /vpc/twist "));
-        assert_eq!(twists.count(), counts[1].1);
-    }
-}
-
-#[test]
 fn a_recording_is_drawn_and_reported() {
-    let flight = flight();
-    let plots = Path::new(env!("CARGO_TARGET_TMPDIR")).join("plots");
-    let _ = std::fs::remove_dir_all(&plots);
+    let place = Place::new();
+    let file = recorded(&place).display().to_string();
+    let plots = place.path("plots");
     let output = plots.to_str().unwrap();
-    let drawn = run(&["plot", &flight.words(), "-o", output, "--film"]);
+    let drawn = run(&["plot", &file, "-o", output, "--film"]);
     assert_eq!(drawn.status.code(), Some(0), "{}", stderr(&drawn));
     let names = [
         "run.svg",
@@ -178,14 +80,10 @@ fn a_recording_is_drawn_and_reported() {
         let bytes = std::fs::read(plots.join(name)).unwrap();
         assert!(bytes.starts_with(b"\x89PNG\r\n"), "{name}");
     }
-    let report = json(&run(&["plot", &flight.words(), "--json"]));
+    let report = json(&run(&["plot", &file, "--json"]));
     assert_rounded(&report);
-    let recording = Recording::read(&flight.file()).unwrap();
-    assert_eq!(report["cycles"], recording.cycles.len() as u64, "{report}");
-    assert_eq!(
-        report["overruns"],
-        recording.cycles.last().unwrap().overruns
-    );
+    assert_eq!(report["cycles"], CYCLES, "{report}");
+    assert_eq!(report["overruns"], 2, "{report}");
 }
 
 /// No number of a report has more digits than a clock in nanoseconds gives.
@@ -204,9 +102,9 @@ fn assert_rounded(report: &Value) {
 
 #[test]
 fn a_changed_byte_or_cut_file_is_told_and_the_rest_is_used() {
-    let flight = flight();
-    let mut bytes = std::fs::read(flight.file()).unwrap();
-    let file = flight.place.path("damaged.mcap");
+    let place = Place::new();
+    let mut bytes = std::fs::read(recorded(&place)).unwrap();
+    let file = place.path("damaged.mcap");
     let name = file.to_str().unwrap();
     // Whether it is told; nothing else is said.
     let is_told = || {
@@ -223,10 +121,10 @@ fn a_changed_byte_or_cut_file_is_told_and_the_rest_is_used() {
     // In the compressed messages: their checksum tells, also where the damage makes a message
     // unreadable before. A place in an index between them is not looked at.
     let mut told = 0;
-    for tenth in 4..9 {
-        bytes[whole * tenth / 10] ^= 1;
+    for part in 4..18 {
+        bytes[whole * part / 20] ^= 1;
         std::fs::write(&file, &bytes).unwrap();
-        bytes[whole * tenth / 10] ^= 1;
+        bytes[whole * part / 20] ^= 1;
         told += u32::from(is_told());
     }
     assert!(told > 0);
@@ -241,18 +139,18 @@ fn assert_refused(output: &Output, code: i32, part: &str, words: &[&str]) {
 
 #[test]
 fn what_cannot_be_drawn_is_told_with_its_exit_code() {
-    let flight = flight();
-    let run_file = flight.words();
+    let place = Place::new();
+    let run_file = recorded(&place).display().to_string();
     let text = "not MCAP at all, though long enough to be looked at";
-    let text = flight.place.file("text.mcap", text);
+    let text = place.file("text.mcap", text);
     let text = text.to_str().unwrap();
-    let empty = flight.place.path("empty.mcap");
+    let empty = place.path("empty.mcap");
     RecordingFile::create(&empty, true)
         .unwrap()
         .finish()
         .unwrap();
     let empty = empty.to_str().unwrap();
-    let plots = flight.place.path("plots");
+    let plots = place.path("plots");
     let plots = plots.to_str().unwrap();
     for (words, code, part) in [
         (

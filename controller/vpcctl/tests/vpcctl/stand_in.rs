@@ -141,7 +141,7 @@ impl Drop for Camera {
 }
 
 /// What it knows.
-struct Law {
+pub struct Law {
     cycle: u64,
     state: TwistState,
     hold: Option<Hold>,
@@ -167,7 +167,7 @@ impl Default for Law {
 }
 
 impl Law {
-    fn answer(&mut self, request: &Request) -> Reply {
+    pub fn answer(&mut self, request: &Request) -> Reply {
         let strategy = StrategyCode::from_code(request.strategy);
         let outcome = match (request.action().unwrap(), strategy.unwrap()) {
             (Action::Strategy, StrategyCode::Gpr) => Outcome::NoMemory,
@@ -207,7 +207,7 @@ impl Law {
         }
     }
 
-    fn cycle(&mut self) -> CycleRecord {
+    pub fn cycle(&mut self) -> CycleRecord {
         self.cycle += 1;
         let mut record = CycleRecord {
             cycle: self.cycle,

@@ -1,18 +1,21 @@
-//! `teach`, against a camera that is held at a goal, moves, or sees something else.
+//! `teach`, against a camera that is held at a goal, moves, or sees something else. Camera and
+//! command take turns on a clock that no machine delays.
 
 use std::path::Path;
-use std::process::Output;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use ipc::{CameraPorts, Domain, now_ns};
+use ipc::{CameraPorts, Domain};
 use messages::Features;
+use program::Exit;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
 use vpc::Task;
+use vpcctl::clock::Clock;
+use vpcctl::failure::Failure;
+use vpcctl::teach::{TeachArguments, teach};
 
-use crate::{stderr, stdout, vpcctl};
+use crate::{stderr, vpcctl};
 
 /// The object in the camera frame where the camera is held.
 const HELD: Pose = Pose {
@@ -26,46 +29,70 @@ fn points(pose: &Pose) -> Vec<[f64; 2]> {
     task.features_at(pose).unwrap().to_vec()
 }
 
-/// Runs `teach` while a camera publishes what `sees` says after so many images, with noise.
-fn taught(place: &Path, sees: impl Fn(u32) -> Vec<[f64; 2]> + Sync, more: &[&str]) -> Output {
-    let (domain, end) = (place.join("domain"), AtomicBool::new(false));
-    let old = place.join("old.toml");
-    std::fs::write(&old, scene::PAPER_SIM).unwrap();
-    let new = place.join("new.toml");
-    let [old, new] = [&old, &new].map(|path| path.to_str().unwrap());
-    std::thread::scope(|scope| {
-        scope.spawn(|| {
-            let mut random = ChaCha8Rng::seed_from_u64(36);
-            let joined = Domain::join(&domain).unwrap();
-            let mut camera = CameraPorts::open(&joined).unwrap();
-            for image in 0.. {
-                let noisy: Vec<_> = sees(image)
-                    .iter()
-                    .map(|point| point.map(|x| x + random.random_range(-0.3..0.3)))
-                    .collect();
-                let features = Features::new(&noisy, now_ns());
-                camera.features.publish(&features).unwrap();
-                std::thread::sleep(Duration::from_millis(10));
-                if end.load(Ordering::Relaxed) {
-                    break;
-                }
+/// A camera with noise, and the clock: it takes an image each 10 ms while the command waits.
+struct Camera<'a> {
+    ports: CameraPorts,
+    /// What it sees after so many images.
+    sees: &'a dyn Fn(u32) -> Vec<[f64; 2]>,
+    random: ChaCha8Rng,
+    image: u32,
+    now_ns: u64,
+}
+
+impl Clock for Camera<'_> {
+    fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+
+    fn pause(&mut self, time: Duration) {
+        const PERIOD_NS: u64 = 10_000_000;
+        let before = self.now_ns / PERIOD_NS;
+        self.now_ns += time.as_nanos() as u64;
+        for _ in before..self.now_ns / PERIOD_NS {
+            let mut points = (self.sees)(self.image);
+            for x in points.as_flattened_mut() {
+                *x += self.random.random_range(-0.3..0.3);
             }
-        });
-        testkit::eventually("a domain", || domain.exists().then_some(()));
-        let words = [&["teach", "--scene", old, "-o", new], more].concat();
-        let said = vpcctl(&domain, &words);
-        end.store(true, Ordering::Relaxed);
-        said
-    })
+            let features = Features::new(&points, self.now_ns);
+            self.ports.features.publish(&features).unwrap();
+            self.image += 1;
+        }
+    }
+}
+
+/// Runs `teach` beside a camera.
+fn taught(
+    place: &Path,
+    sees: &dyn Fn(u32) -> Vec<[f64; 2]>,
+    force: bool,
+) -> Result<String, Failure> {
+    let (domain, old) = (place.join("domain"), place.join("old.toml"));
+    std::fs::write(&old, scene::PAPER_SIM).unwrap();
+    let joined = Domain::join(&domain).unwrap();
+    let mut camera = Camera {
+        ports: CameraPorts::open(&joined).unwrap(),
+        sees,
+        random: ChaCha8Rng::seed_from_u64(36),
+        image: 0,
+        now_ns: ipc::now_ns(),
+    };
+    let arguments = TeachArguments {
+        scene: Some(old),
+        output: Some(place.join("new.toml")),
+        build: false,
+        replace: false,
+        watch: Duration::from_secs(1),
+        force,
+    };
+    teach(&domain, &arguments, &mut camera)
 }
 
 #[test]
 fn what_the_camera_sees_becomes_the_goal_and_nothing_else_changes() {
     let place = tempfile::tempdir().unwrap();
     let held = points(&HELD);
-    let said = taught(place.path(), |_| held.clone(), &[]);
-    assert_eq!(said.status.code(), Some(0), "{}", stderr(&said));
-    let words = stdout(&said);
+    let sees = |_| held.clone();
+    let words = taught(place.path(), &sees, false).unwrap();
     assert!(
         words.starts_with("taught from ") && words.contains("next: vpc-memory build "),
         "{words}"
@@ -93,48 +120,47 @@ fn what_the_camera_sees_becomes_the_goal_and_nothing_else_changes() {
     (same.goal, same.starts) = (old.goal, old.starts);
     assert_eq!(same, old);
     // It overwrites nothing unasked.
-    let said = taught(place.path(), |_| held.clone(), &[]);
-    assert_eq!(said.status.code(), Some(2), "{}", stderr(&said));
-    let said = taught(place.path(), |_| held.clone(), &["--force"]);
-    assert_eq!(said.status.code(), Some(0), "{}", stderr(&said));
+    let refused = taught(place.path(), &sees, false).unwrap_err();
+    assert_eq!(refused.exit, Exit::Refused, "{refused}");
+    taught(place.path(), &sees, true).unwrap();
 }
 
 #[test]
 fn what_is_no_goal_is_refused_and_nothing_is_written() {
     let place = tempfile::tempdir().unwrap();
     let held = points(&HELD);
-    let refused = |sees: &(dyn Fn(u32) -> Vec<[f64; 2]> + Sync), code: i32, words: &str| {
-        let said = taught(place.path(), sees, &[]);
-        let told = stderr(&said);
-        let all = format!("{words}: {told}{}", stdout(&said));
-        assert_eq!(said.status.code(), Some(code), "{all}");
-        assert!(told.contains(words), "{told}");
+    let refused = |sees: &dyn Fn(u32) -> Vec<[f64; 2]>, words: &str| {
+        let failure = taught(place.path(), sees, false).unwrap_err();
+        assert_eq!(failure.exit, Exit::Refused, "{words}: {failure}");
+        assert!(failure.to_string().contains(words), "{failure}");
         assert!(!place.path().join("new.toml").exists());
     };
     let moved = |image: u32| {
         let by = 0.2 * f64::from(image);
         held.iter().map(|p| [p[0] + by, p[1]]).collect()
     };
-    refused(&moved, 2, "hold the camera still");
+    refused(&moved, "hold the camera still");
     let mut other = held.clone();
     other[2][0] += 40.0;
     refused(
         &|_| other.clone(),
-        2,
         "px off every view of the scene's pattern",
     );
-    refused(&|_| held[..3].to_vec(), 2, "show all 4 points");
+    refused(&|_| held[..3].to_vec(), "show all 4 points");
     // In the bar at the top of the image.
     let mut hidden = HELD;
     (hidden.translation, hidden.rotation) = ([0.1, -0.172, 0.8], [0.0; 3]);
     let hidden = points(&hidden);
-    refused(&|_| hidden.clone(), 2, "the goal: ");
+    refused(&|_| hidden.clone(), "the goal: ");
     let domain = place.path().join("empty");
     std::fs::create_dir(&domain).unwrap();
     let new = place.path().join("new.toml");
     let old = place.path().join("old.toml");
     let [old, new] = [&old, &new].map(|path| path.to_str().unwrap());
-    let said = vpcctl(&domain, &["teach", "--scene", old, "-o", new]);
+    let said = vpcctl(
+        &domain,
+        &["teach", "--scene", old, "-o", new, "--watch", "0.1"],
+    );
     assert_eq!(said.status.code(), Some(4), "{}", stderr(&said));
     assert!(stderr(&said).contains("is a camera at work?"));
 }

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use crate::stand_in::StandIn;
-use crate::{stderr, vpcctl};
+use crate::vpcctl;
 
 /// Longest wait for anything, on a loaded machine.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -136,17 +136,4 @@ fn a_terminal_that_goes_away_ends_the_view() {
     };
     terminal.script.kill().unwrap();
     assert!(terminal.ends());
-}
-
-#[test]
-fn without_a_terminal_status_is_recommended() {
-    let directory = tempfile::tempdir().unwrap();
-    let _daemon = StandIn::sound(directory.path());
-    let output = vpcctl(directory.path(), &["watch"]);
-    assert_eq!(output.status.code(), Some(64));
-    assert!(
-        stderr(&output).contains("vpcctl status"),
-        "{}",
-        stderr(&output)
-    );
 }

@@ -11,7 +11,7 @@ use serde_json::Value;
 use testkit::python::run;
 use testkit::{Running, are_installed, eventually};
 
-use crate::metrics::Server;
+use crate::server::Server;
 use crate::stand_in::{Camera, StandIn};
 use crate::vpcctl;
 
