@@ -1042,6 +1042,16 @@ mod tests {
 
     #[test]
     fn a_cycle_ends_within_its_budget_wherever_the_camera_jumps() {
+        jump(60);
+    }
+
+    #[test]
+    #[ignore = "long: 300 cycles"]
+    fn each_of_many_cycles_ends_within_its_budget_wherever_the_camera_jumps() {
+        jump(300);
+    }
+
+    fn jump(cycles: u32) {
         let scene = Scene::parse(scene::PAPER_SIM, "sim").unwrap();
         let memory = Shifted(Task::new(&scene).unwrap().goal);
         let settings = Settings {
@@ -1050,7 +1060,7 @@ mod tests {
         };
         let mut law = Law::new(&scene, settings, |len| vec![0.0; len]).unwrap();
         let mut arrived = 0;
-        for k in 0..300_u64 {
+        for k in 0..u64::from(cycles) {
             // Now and then somewhere else, so that what was promised is wrong.
             let [x, y, z] = [0, 1, 2].map(|axis| uniform_of(k / 4, axis) - 0.5);
             let mut pose = scene.goal;
@@ -1067,7 +1077,7 @@ mod tests {
                 arrived += u32::from(matches!(foreseen.outcome, Outcome::Arrives { .. }));
             }
         }
-        assert!(arrived > 100, "{arrived}");
+        assert!(arrived > cycles / 3, "{arrived}");
     }
 
     #[test]
