@@ -9,6 +9,7 @@ mod namespace;
 mod package;
 mod permission;
 mod reload;
+#[expect(dead_code, reason = "`cargo test` uses the rest")]
 #[path = "../service/fixture.rs"]
 mod service;
 mod spin;

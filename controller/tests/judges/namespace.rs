@@ -11,7 +11,7 @@ use crate::fixture::{Frozen, eventually, not_run, root, spin, thread, units};
 use crate::machine::{Machine, Stage, may_raise_limits, status};
 
 /// What `sed` makes of a configuration for lockstep, in which nobody is late on a busy machine.
-pub const LOCKSTEP: &str = r#"s/^clock = "fixed"/clock = "lockstep"/"#;
+const LOCKSTEP: &str = r#"s/^clock = "fixed"/clock = "lockstep"/"#;
 
 /// The files of the package where it would install them.
 pub fn install(stage: &Stage) {

@@ -6,12 +6,7 @@ use testkit::python::{Environment, run, script};
 
 /// Python with these packages.
 pub fn python(test: &str) -> Option<PathBuf> {
-    let environment = Environment {
-        name: "python-mcap",
-        requirements: &["controller/recorder/tests/python/requirements.txt"],
-        packages: &[],
-    };
-    environment.python(test)
+    Environment::JUDGES.python(test)
 }
 
 /// What `check.py` prints about these files.
