@@ -129,7 +129,7 @@ fn random_messages_never_move_beyond_the_limits() {
         camera.twist.latest().unwrap()
     });
     let mut moving = 0_u64;
-    let messages = repeats("fuzzed messages", 3_000, 1_000_000) as u64;
+    let messages = repeats("fuzzed messages", 2_000, 1_000_000) as u64;
     for sequence in sequence + 1..=sequence + messages {
         let features = nasty_features(sequence, &mut random);
         camera.features.publish_verbatim(&features).unwrap();
