@@ -56,7 +56,7 @@ pub trait Cell {
 
     /// Where a client lets time pass: waits for a moment, and returns whether it does. Ask again
     /// where it does not.
-    fn may_step(&mut self) -> bool {
+    fn may_step(&self) -> bool {
         true
     }
 

@@ -218,7 +218,7 @@ impl Cell for Rig {
         self.now_ns()
     }
 
-    fn may_step(&mut self) -> bool {
+    fn may_step(&self) -> bool {
         self.arm.may_step()
     }
 

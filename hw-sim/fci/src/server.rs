@@ -407,8 +407,12 @@ mod tests {
         }
         udp.send_to(&[0; 100], from).unwrap();
         udp.send_to(&[0; 370], from).unwrap();
-        std::thread::sleep(Duration::from_millis(100));
-        assert_eq!(server.commands().len(), 1);
+        let mut commands = Vec::new();
+        while commands.is_empty() {
+            assert!(server.wait(Duration::from_secs(5)), "nothing came");
+            commands = server.commands();
+        }
+        assert_eq!(commands.len(), 1);
         assert_eq!(server.commands(), []);
 
         // While it is there, the port refuses others; afterwards it does not.

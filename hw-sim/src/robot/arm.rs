@@ -202,9 +202,9 @@ impl Arm {
 
     /// Where a client paces the robot: waits for a moment, and returns whether the next step may be
     /// taken.
-    pub fn may_step(&mut self) -> bool {
+    pub fn may_step(&self) -> bool {
         let robot = &self.bridge.driver.robot;
-        let control_unit = self.control_unit.as_mut();
+        let control_unit = self.control_unit.as_ref();
         control_unit.is_none_or(|control_unit| control_unit.may_step(robot))
     }
 

@@ -98,16 +98,13 @@ impl ControlUnit {
     }
 
     /// In lockstep: waits for a moment, and returns whether the next step may be taken.
-    pub fn may_step(&mut self, robot: &Robot) -> bool {
-        let left = self
-            .due
-            .map_or(LOOK, |due| due.saturating_duration_since(Instant::now()));
-        let left = left.min(LOOK);
-        if self.is_awaited(robot) && self.server.wait(left) {
-            return true;
-        }
-        if !self.is_awaited(robot) {
-            std::thread::sleep(left);
+    pub fn may_step(&self, robot: &Robot) -> bool {
+        let left = |due: Instant| due.saturating_duration_since(Instant::now());
+        let moment = self.due.map_or(LOOK, left).min(LOOK);
+        match self.is_awaited(robot) {
+            true if self.server.wait(moment) => return true,
+            true => (),
+            false => std::thread::sleep(moment),
         }
         self.due.is_some_and(|due| due <= Instant::now())
     }

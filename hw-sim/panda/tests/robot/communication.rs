@@ -73,6 +73,28 @@ fn after_twenty_lost_commands_the_robot_stops_by_itself() {
 }
 
 #[test]
+fn a_motion_that_waits_goes_on_where_it_was() {
+    let mut robots = [moving(ready()), moving(ready())];
+    let [waits, goes_on] = &mut robots;
+    for robot in [&mut *waits, &mut *goes_on] {
+        speed_up(robot, 1, 1.0, 0.02);
+    }
+    // Longer than until a robot stops by itself.
+    for _ in 0..50 {
+        waits.wait();
+    }
+    assert_eq!(waits.state().id, goes_on.state().id + 50);
+    for _ in 0..50 {
+        let twist = goes_on.state().o_dp_ee_c + Twist::y() * 1e-3;
+        answer(waits, twist);
+        answer(goes_on, twist);
+    }
+    assert_eq!(waits.state().robot_mode, Mode::Move);
+    assert_eq!(waits.state().q, goes_on.state().q);
+    assert_eq!(waits.state().o_dp_ee_c, goes_on.state().o_dp_ee_c);
+}
+
+#[test]
 fn commands_without_a_motion_move_nothing() {
     let mut robot = ready();
     let before = robot.state().q;
