@@ -1,4 +1,4 @@
-"""What the module promises: `cargo test --test wheel -- --ignored` runs
+"""What the module promises: `cargo test -p vpc-python --test judges -- --ignored` runs
 `test_vpc.py TABLE VPC_MEMORY RECORDING`; pytest does after `cargo build --release`."""
 
 import contextlib
