@@ -1,7 +1,7 @@
 //! A measured table as a file of the repository, `tests/results/table.json`, which `cargo table
 //! --results` writes and README.md quotes.
 
-use anyhow::{Context, ensure};
+use anyhow::Context;
 use serde::{Deserialize, Serialize};
 
 use crate::row::Row;
@@ -35,8 +35,53 @@ pub struct Results {
 pub struct Measured {
     /// The memory: a file, or COUNT@SEED.
     pub memory: String,
-    /// Its rows.
-    pub rows: Vec<Row>,
+    /// A line for each strategy or method.
+    pub lines: Vec<Line>,
+}
+
+/// What a page quotes of a row.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+pub struct Line {
+    strategy: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    np: Option<usize>,
+    success_rate: f64,
+    success_interval: [f64; 2],
+    mean_cost: f64,
+    /// Cycles to arrival.
+    steps: f64,
+    /// Median and 99th percentile of a cycle, us.
+    cycle_us: [f64; 2],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    foresight: Option<Foresight>,
+}
+
+/// What a page quotes of foresight alone.
+#[derive(Clone, Debug, Deserialize, Serialize)]
+struct Foresight {
+    /// Median and 99th percentile of what it thinks after a cycle, us.
+    slack_us: [f64; 2],
+    /// Mean time to standstill at the goal, s.
+    standstill_s: f64,
+}
+
+impl From<&Row> for Line {
+    fn from(row: &Row) -> Self {
+        let foresight = Foresight {
+            slack_us: [row.slack_us.p50, row.slack_us.p99],
+            standstill_s: row.standstill_s,
+        };
+        Self {
+            strategy: row.strategy.clone(),
+            np: row.np.filter(|_| row.strategy != "ibvs"),
+            success_rate: row.success_rate,
+            success_interval: row.success_interval,
+            mean_cost: row.mean_cost,
+            steps: row.steps,
+            cycle_us: [row.cycle_us.p50, row.cycle_us.p99],
+            foresight: (row.strategy == "foresight").then_some(foresight),
+        }
+    }
 }
 
 impl Results {
@@ -86,73 +131,66 @@ impl Results {
         Ok(format!("{head}{BEGIN}{}{END}{tail}", self.markdown()?))
     }
 
-    /// All rows of the first table, of the others what foresight makes of their memory, and what
+    /// All lines of the first table, of the others what foresight makes of their memory, and what
     /// the figures mean.
     fn markdown(&self) -> anyhow::Result<String> {
         let (first, others) = self.tables.split_first().context("no table")?;
-        let of_foresight = |row: &&Row| row.strategy == "foresight";
-        let others = others.iter().flat_map(|table| {
-            let rows = table.rows.iter().filter(of_foresight);
-            rows.map(|row| (row, ", shipped memory"))
-        });
-        let rows: Vec<_> = first
-            .rows
-            .iter()
-            .map(|row| (row, ""))
-            .chain(others)
-            .collect();
+        let others = others.iter().flat_map(|table| &table.lines);
+        let others = others.filter(|line| line.foresight.is_some());
         let mut text = "\
 | strategy | steps ahead (Np) | success (95 %) | mean cost | cycles to arrival | cycle p50 / p99 | the paper: success, cost, cycle |
 |---|--:|--:|--:|--:|--:|--:|
 "
         .to_owned();
-        for (row, memory) in &rows {
-            text += &line(row, memory);
-        }
-        let foresight = first.rows.iter().find(of_foresight);
-        let foresight = foresight.context("no row of foresight")?;
-        let slack = foresight.slack_us;
-        ensure!(slack.p99 > 0.0, "foresight without a pause");
+        (first.lines.iter()).for_each(|line| text += &line.markdown(""));
+        others.for_each(|line| text += &line.markdown(", shipped memory"));
+        let foresight = first.lines.iter().find_map(|line| line.foresight.as_ref());
+        let Foresight {
+            slack_us,
+            standstill_s,
+        } = foresight.context("no line of foresight")?;
         text += &format!(
             "
 Measured at {} by `{}`.
 
 - Between two commands, and before a run's first, foresight thinks for another {} (median / p99).
-- A run arrives, as in the paper, within the threshold, at any speed. With foresight the camera rests after {:.1} s.
+- A run arrives, as in the paper, within the threshold, at any speed. With foresight the camera rests after {standstill_s:.1} s.
 ",
             self.commit,
             self.command,
-            times(slack.p50, slack.p99),
-            foresight.standstill_s,
+            times(slack_us),
         );
         Ok(text)
     }
 }
 
-fn line(row: &Row, memory: &str) -> String {
-    let [low, high] = row.success_interval.map(|share| 100.0 * share);
-    let np = row.np.filter(|_| row.strategy != "ibvs");
-    let is_it =
-        |(strategy, np, _): &&(&str, usize, &str)| *strategy == row.strategy && Some(*np) == row.np;
-    format!(
-        "| {}{memory} | {} | {:.0} % ({low:.0} to {high:.0}) | {:.1} | {:.0} | {} | {} |\n",
-        row.strategy,
-        np.map_or(String::new(), |np| np.to_string()),
-        100.0 * row.success_rate,
-        row.mean_cost,
-        row.steps,
-        times(row.cycle_us.p50, row.cycle_us.p99),
-        PAPER.iter().find(is_it).map_or("", |(.., figures)| figures),
-    )
+impl Line {
+    /// A line of the page's table; `memory` is said of the strategy.
+    fn markdown(&self, memory: &str) -> String {
+        let [low, high] = self.success_interval.map(|share| 100.0 * share);
+        let is_it = |(strategy, np, _): &&(&str, usize, &str)| {
+            *strategy == self.strategy && Some(*np) == self.np
+        };
+        format!(
+            "| {}{memory} | {} | {:.0} % ({low:.0} to {high:.0}) | {:.1} | {:.0} | {} | {} |\n",
+            self.strategy,
+            self.np.map_or(String::new(), |np| np.to_string()),
+            100.0 * self.success_rate,
+            self.mean_cost,
+            self.steps,
+            times(&self.cycle_us),
+            PAPER.iter().find(is_it).map_or("", |(.., figures)| figures),
+        )
+    }
 }
 
 /// Two times, given in us.
-fn times(p50: f64, p99: f64) -> String {
+fn times([p50, p99]: &[f64; 2]) -> String {
     let time = |us: f64| match us < 1000.0 {
         true => format!("{us:.0} us"),
         false => format!("{:.0} ms", us / 1e3),
     };
-    format!("{} / {}", time(p50), time(p99))
+    format!("{} / {}", time(*p50), time(*p99))
 }
 
 #[cfg(test)]
@@ -161,6 +199,6 @@ mod tests {
 
     #[test]
     fn times_have_units_of_their_own() {
-        assert_eq!(times(19.2, 8231.0), "19 us / 8 ms");
+        assert_eq!(times(&[19.2, 8231.0]), "19 us / 8 ms");
     }
 }

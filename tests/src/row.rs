@@ -1,14 +1,14 @@
 //! A row of the table: statistics over all runs of one strategy.
 
 use hw_sim::following::FollowingReport;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use crate::column::{self, Column, Shown};
 use crate::run::{Reason, Run};
 use crate::statistics::{mean, wilson};
 
 /// The paper's Table I for one strategy, and what the paper does not show.
-#[derive(Clone, Debug, Deserialize, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Row {
     /// Name of the strategy, or an external method.
     pub strategy: String,
@@ -59,7 +59,7 @@ pub struct Row {
 }
 
 /// Times of a cycle, us.
-#[derive(Clone, Copy, Debug, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, Serialize)]
 pub struct CycleTime {
     /// Mean.
     pub mean: f64,

@@ -6,6 +6,7 @@ mod call;
 mod commands;
 mod markdown;
 mod reference;
+mod results;
 mod session;
 
 use std::path::{Path, PathBuf};

@@ -43,6 +43,10 @@ const GENERATED: &[Generated<anyhow::Error>] = &[
         make: contract::make,
     },
     Generated {
+        path: "README.md",
+        make: |page| system_tests::results::Results::read()?.quoted(page),
+    },
+    Generated {
         path: "controller/CONFIGURATION.md",
         make: |_| configuration::make(),
     },

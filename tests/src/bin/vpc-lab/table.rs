@@ -23,7 +23,7 @@ use system_tests::external::{External, Method};
 use system_tests::fci_table::{self, FciFlags, Setup};
 use system_tests::flags::{Common, FreeFlags, RobotFlags, check};
 use system_tests::pictures::{self, Draw};
-use system_tests::results::{Measured, Results};
+use system_tests::results::{Line, Measured, Results};
 use system_tests::robot::RobotRun;
 use system_tests::robot_table::{self, RobotRow};
 use system_tests::row::{self, Row};
@@ -197,8 +197,8 @@ pub(crate) fn table(children: &Children, cli: &Cli) -> anyhow::Result<ExitCode> 
             Body::Free => {
                 let done = free(cli, &scene, &starts, memory.as_ref())?;
                 done.finish(cli, &scene, memory.as_ref())?;
-                let (memory, rows) = (name, done.rows);
-                results.tables.push(Measured { memory, rows });
+                let (memory, lines) = (name, done.rows.iter().map(Line::from).collect());
+                results.tables.push(Measured { memory, lines });
             }
             Body::Panda | Body::Urdf => {
                 on_robot(cli, &scene, &starts, memory.as_ref())?.finish(cli, &scene, None)?;
