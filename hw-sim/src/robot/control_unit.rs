@@ -25,8 +25,8 @@ const STRETCHED: f64 = -0.467;
 const MILLISECOND: Duration = Duration::from_millis(1);
 /// In lockstep a motion begins with a state, and another that the client answers: by then it has
 /// read the first one. One that has not gets a third, before its library gives up after a second.
-const SECOND_STATE: Duration = Duration::from_millis(5);
-const THIRD_STATE: Duration = Duration::from_millis(500);
+const SECOND_STATE: Duration = Duration::from_millis(30);
+const THIRD_STATE: Duration = Duration::from_millis(300);
 /// Longest wait at a time, so that a signal is seen.
 const LOOK: Duration = Duration::from_millis(10);
 
