@@ -280,7 +280,7 @@ pub fn is_a_test(package: &str, filter: &str) -> Result<(), String> {
 pub fn is_measured(name: &str) -> Result<(), String> {
     let mut sources = Vec::new();
     gather(&root().join("tests/tests/measure"), &mut sources);
-    let begin = format!("\"{name}");
+    let begin = format!("\"{}", name.trim_matches('"'));
     let is_it = |path: &PathBuf| std::fs::read_to_string(path).unwrap().contains(&begin);
     match sources.iter().any(is_it) {
         true => Ok(()),
