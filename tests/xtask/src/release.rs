@@ -45,13 +45,11 @@ pub fn release(to: &Path) -> anyhow::Result<()> {
 
 /// As `controller/Cargo.toml` lists it, with pages of the manual and completions.
 fn package(to: &Path) -> anyhow::Result<()> {
-    let build = |more: &[&str]| {
+    for workspace in [".", "ipc/clients"] {
         let mut cargo = tool(env!("CARGO"));
-        said(cargo.args(["build", "--release", "--locked"]).args(more))
-    };
-    build(&[])?;
-    // No default members.
-    build(&["-p", "vpc-camera", "-p", "vpc-ros2"])?;
+        cargo.current_dir(root().join(workspace));
+        said(cargo.args(["build", "--release", "--locked"]))?;
+    }
     // Beside the directory of this program.
     let program = std::env::current_exe()?;
     let target = program.ancestors().nth(2);
