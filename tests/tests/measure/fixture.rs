@@ -11,7 +11,7 @@ pub use testkit::{Ended, Running, ended, memory_file, program, root, scene_file,
 
 use crate::judge::{Miss, NotShown, give_up};
 pub use crate::judge::{PATIENCE, WAKE_NS, eventually};
-use crate::machine::may_be_real_time;
+pub use crate::machine::on_time;
 use crate::reference::Class;
 
 /// One sampling period of the paper's scene, ns.
@@ -84,24 +84,6 @@ impl Place {
         let line = said.lines().find_map(|line| line.strip_prefix("state"));
         line.unwrap_or(&said).trim().to_owned()
     }
-}
-
-/// A command that runs as an instrument: at this SCHED_FIFO priority where that can be had, so that
-/// it is on time whatever else the machine does.
-pub fn on_time(command: Command, priority: i32) -> Command {
-    if !may_be_real_time() {
-        return command;
-    }
-    let mut timely = testkit::command("chrt");
-    timely.args(["-f", &priority.to_string()]);
-    timely.arg(command.get_program()).args(command.get_args());
-    timely.envs(
-        command
-            .get_envs()
-            .filter_map(|(key, value)| Some((key, value?))),
-    );
-    timely.stdout(Stdio::null()).stderr(Stdio::piped());
-    timely
 }
 
 /// Sleeps for a random part of so many periods.

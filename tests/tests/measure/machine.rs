@@ -1,5 +1,6 @@
 //! What this machine permits and has.
 
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
 
 use rustix::process::Pid;
@@ -51,6 +52,24 @@ pub fn keep(thread: Option<Pid>, processor: usize) {
     let mut set = CpuSet::new();
     set.set(processor);
     sched_setaffinity(thread, &set).unwrap();
+}
+
+/// A command that runs as an instrument: at this SCHED_FIFO priority where that can be had, so that
+/// it is on time whatever else the machine does.
+pub fn on_time(command: Command, priority: i32) -> Command {
+    if !may_be_real_time() {
+        return command;
+    }
+    let mut timely = testkit::command("chrt");
+    timely.args(["-f", &priority.to_string()]);
+    timely.arg(command.get_program()).args(command.get_args());
+    timely.envs(
+        command
+            .get_envs()
+            .filter_map(|(key, value)| Some((key, value?))),
+    );
+    timely.stdout(Stdio::null()).stderr(Stdio::piped());
+    timely
 }
 
 /// Whether a mechanism is switched off by `VPC_WITHOUT`, to see the measurements of it fail.

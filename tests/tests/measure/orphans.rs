@@ -15,6 +15,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use testkit::within;
 
 use crate::fixture::{PATIENCE, Place, Running, eventually, program, scene_file};
+use crate::judge::{NotShown, give_up};
 use crate::reference::Class;
 use crate::sheet::Sheet;
 
@@ -95,7 +96,10 @@ impl Parent {
             }
             let ended = self.child.try_wait().unwrap();
             assert!(ended.is_none(), "{ended:?} before {names:?} ran");
-            assert!(begin.elapsed() < BUILD, "only {family:?} run");
+            if begin.elapsed() > BUILD {
+                // Another cargo may hold the lock of the target directory.
+                give_up(NotShown(format!("only {family:?} run after {BUILD:?}")));
+            }
             std::thread::sleep(Duration::from_millis(5));
         }
     }

@@ -20,6 +20,8 @@ mod hostile;
 mod inputs;
 #[path = "../measure/load.rs"]
 mod load;
+#[allow(dead_code, reason = "`measure` uses the rest")]
+#[path = "../measure/machine.rs"]
 mod machine;
 mod memory;
 #[allow(dead_code, reason = "`measure` uses the rest")]
