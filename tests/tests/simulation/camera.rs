@@ -13,12 +13,6 @@ use crate::fault::Fault;
 const NOISE_PX: f64 = 0.1;
 /// How old the images of a late camera are, and how far others are in the future, ns.
 const LATE_NS: u64 = 400_000_000;
-/// Where another object is.
-const OTHER: Pose = Pose {
-    translation: [-0.3, -0.2, 0.8],
-    rotation: [-0.2, 0.3, 0.4],
-};
-
 /// The camera in the robot's hand, and its driver.
 pub struct Camera {
     scene: Scene,
@@ -58,6 +52,27 @@ impl Camera {
         (self.has_begun, self.older_ns) = (false, 0);
     }
 
+    /// From now on it sees another object: of these places of it the one whose points are furthest
+    /// from those of the object that it saw, half of them at least.
+    pub fn see_other(&mut self, places: &[Pose]) {
+        let Ok(seen) = self.eye.features() else {
+            return;
+        };
+        let away_px = |other: &FreeCamera| {
+            let points = other.features().unwrap_or_default();
+            let pairs = points.iter().zip(&seen);
+            let each = pairs.map(|(p, q)| (p[0] - q[0]).hypot(p[1] - q[1]));
+            let mut each: Vec<f64> = each.collect();
+            each.sort_unstable_by(f64::total_cmp);
+            each[(each.len() - 1) / 2]
+        };
+        let others = places
+            .iter()
+            .map(|place| FreeCamera::new(&self.scene, place));
+        let furthest = others.max_by(|a, b| away_px(a).total_cmp(&away_px(b)));
+        self.eye = furthest.unwrap_or_else(|| self.eye.clone());
+    }
+
     /// From now on it works.
     pub fn recover(&mut self) {
         self.fault = None;
@@ -85,7 +100,15 @@ impl Camera {
     ) -> Option<Input<Features>> {
         let mut features = image;
         features.stamp.published_ns = now_ns;
-        let Some((fault, since_ns)) = self.fault else {
+        // An image of before another object came is good, also where it is published after that.
+        let is_before = |fault, since_ns| {
+            matches!(fault, Fault::OtherAfterHidden | Fault::OtherAfterRestart)
+                && image.stamp.data_ns < since_ns
+        };
+        let fault = self
+            .fault
+            .filter(|(fault, since_ns)| !is_before(*fault, *since_ns));
+        let Some((fault, since_ns)) = fault else {
             let features = self.count(features);
             self.good = features;
             return Some(Input::Message(features));
@@ -101,7 +124,6 @@ impl Camera {
             }
             Fault::OtherAfterHidden | Fault::OtherAfterRestart => {
                 if is_first {
-                    self.eye = FreeCamera::new(&self.scene, &OTHER);
                     if fault == Fault::OtherAfterRestart {
                         self.sequence = 0;
                         return None;

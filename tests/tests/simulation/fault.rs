@@ -68,7 +68,7 @@ pub enum Fault {
     RobotDead,
     /// It stops by itself, and says so.
     RobotFault,
-    /// It carries out the opposite of what it is told, and says so.
+    /// It says that it carries out something else than it is told.
     RobotStrays,
     /// It stands, and says that it carries out what it is told.
     RobotBlocked,
@@ -231,7 +231,8 @@ impl Fault {
             | Self::Swapped
             | Self::Transport
             | Self::Replaced => brakes(&[Lost], 0),
-            Self::Uncounted => brakes(&[Order, Lost], 0),
+            // The first of them may be another camera's.
+            Self::Uncounted => brakes(&[Order, Lost], PERIOD_NS),
             Self::Image => brakes(&[Frozen], 0),
             Self::Noise => brakes(&[NotFollowing, Frozen], NOTICED_NS),
             Self::Hidden => brakes(&[Lost], BLIND_NS),
@@ -239,12 +240,11 @@ impl Fault {
             Self::Future | Self::ClockBack => at_once(&[Clock]),
             Self::RobotSilent | Self::RobotDead => brakes(&[RobotLost], LOST_NS),
             Self::RobotFault => at_once(&[RobotFault]),
-            // Half a second of commands that it may still be carrying out.
-            Self::RobotStrays => brakes(&[NotFollowed, Mixed, Lost], 500_000_000 + LOST_NS),
+            Self::RobotStrays => brakes(&[NotFollowed], LOST_NS),
             Self::RobotBlocked => brakes(&[NotFollowing], NOTICED_NS),
             Self::Hang | Self::Suspend => at_once(&[Standstill]),
             // A brake of cycles each of which takes three periods.
-            Self::LateLoop => disarms(&[Overruns], 8 * PERIOD_NS, 3),
+            Self::LateLoop => disarms(&[Overruns], 10 * PERIOD_NS, 3),
             Self::Stop
             | Self::StopInFlood
             | Self::StopAgainstArm
@@ -270,14 +270,6 @@ impl Fault {
 
     /// Whether it is noticed only where the camera moves fast.
     pub fn needs_speed(self) -> bool {
-        matches!(
-            self,
-            Self::Noise
-                | Self::RobotBlocked
-                | Self::RobotStrays
-                | Self::NoAnswer
-                | Self::OtherAfterHidden
-                | Self::OtherAfterRestart
-        )
+        matches!(self, Self::Noise | Self::RobotBlocked | Self::NoAnswer)
     }
 }

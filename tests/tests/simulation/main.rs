@@ -1,16 +1,78 @@
-//! A simulation of `vpcd`'s decision in virtual time.
+//! A simulation of `vpcd` in virtual time: the real decision ([`decision::ControlStep`]), the
+//! emulator's camera, the dead man of the contract, the real grid of releases, phase loop and stop
+//! file, with a robot, operators and another program, on a clock that [`world`] moves. One seed
+//! decides every choice; what goes wrong ([`fault`]) is the seed's remainder by the number of
+//! faults. After each event [`property`] and [`trial`] check what must hold. The first property that
+//! does not hold is one line, with the seed that repeats it and tells every command:
+//!
+//! ```sh
+//! cargo test --test simulation                               # 1,000 runs, some 8 s of one processor
+//! SIM_SEEDS=20000 cargo test --test simulation               # the first 20,000 seeds
+//! VPC_LONG=1 cargo test --test simulation                    # 100,000 runs
+//! SIM_SEED=204 cargo test --test simulation -- --nocapture   # that run, told line by line
+//! ```
+//!
+//! What is not shown here: the loop itself (`controller/src/cycle.rs`), whose order [`daemon`]
+//! repeats, and its ports. `cargo test --test daemon` shows that it passes on what it receives;
+//! `cargo xtask measure` shows it in real time.
+//!
+//! Each promise that tests in real time showed before, the property that shows it now, and the line
+//! that was seen when its mechanism was taken out (each in an otherwise unchanged tree):
+//!
+//! | promise | test before | property now | seen to fail without | line |
+//! |---|---|---|---|---|
+//! | silence brakes within 3 periods | `silence` | `silence:` of every command | `Gate::is_stale` | `SIM_SEED=5 (Silence) silence: the law's command 129 ms after it` |
+//! | so does a camera that goes back in time | `silence` | `brake:` | the order in `Gate::wrong_time` | `SIM_SEED=7 (Older) brake: the law goes on for 108 ms` |
+//! | or repeats an exposure | `silence` | `brake:` | the same `data_ns` in `Gate::wrong_time` | `SIM_SEED=0 (Freeze) brake: the law goes on for 112 ms` |
+//! | or does not count | | `brake:` | `Gate::restarted` | `SIM_SEED=16 (Uncounted) brake: the law goes on for 146 ms` |
+//! | or is in the future | | `brake:` | `FUTURE_NS` in `Gate::wrong_time` | `SIM_SEED=12 (Future) brake: the law goes on for 128 ms` |
+//! | or repeats an image | `silence` | `brake:` | `frozen::check` | `SIM_SEED=1 (Image) brake: the law goes on for 130 ms` |
+//! | with a little noise | `silence` | `cause:` | `Follow::add` | `SIM_SEED=2 (Noise) cause: Some(Lost), must be one of [NotFollowing, Frozen]` |
+//! | or shows another object | `silence` | `brake:` | `gate::check_place` | LINE-place |
+//! | or shows points in a corner or on a line | `silence` | `brake:` | `gate::check_shape` | LINE-shape |
+//! | or hides a point for more than `blind_s` | `silence` | `brake:` | the end of `Law::completed` | LINE-hidden |
+//! | without features it disarms | `silence` | `disarm:` | `Hold::Lost` | `SIM_SEED=0 (Freeze) disarm: not in 2279 ms: holding, Some(Stale)` |
+//! | no command jumps | `steps` | `steps:`, `brake:` | the bound in `Supervisor::braked` | LINE-brake |
+//! | a loop that is late again and again disarms | `failures` | `brake:` | `Hold::Overruns` | `SIM_SEED=32 (LateLoop) brake: the law goes on for 438 ms` |
+//! | one late cycle is forgiven | `failures` | `goes on:` | `OVERRUN * IN_A_ROW` | LINE-once |
+//! | a law without an answer disarms | `failures` | `disarm:` | the third failure in `Supervisor::response` | LINE-solver |
+//! | a standstill of the loop disarms | `hang` | `brake:` | `Hold::Standstill` | `SIM_SEED=28 (Hang) brake: the law goes on for 110 ms` |
+//! | so does a suspended machine | | `brake:` | `Situation::suspended` | `SIM_SEED=29 (Suspend) brake: the law goes on for 133 ms` |
+//! | and a clock that goes back | | `cause:` | `Hold::Clock` | `SIM_SEED=30 (ClockBack) cause: Some(Standstill), must be one of [Clock]` |
+//! | the robot stands 100 ms after the last command | `hang` | `rest:`, `dead man:` | `TwistCommand::in_force` | LINE-dead |
+//! | an arm that waited is refused | | `late requests:` | `cycle::is_late` | LINE-late |
+//! | a crash begins disarmed | `consent` | `restart:` | `Supervisor::begin_disarmed` | `SIM_SEED=26 (Crash) restart: holding (Some(Stale))` |
+//! | an armed start waits 5 s | `consent` | `unasked:` | `Supervisor::has_waited` | `SIM_SEED=46 (ArmedAlone) unasked: it moves` |
+//! | a loop of `arm` does not undo a stop | `consent` | `consent:` | the name in `Supervisor::arm` | `SIM_SEED=38 (StopAgainstArm) consent: armed by the name of stop 0, the last is 1` |
+//! | after a reload the stops are the same | | `stops:` | `Supervisor::begin_again` | LINE-again |
+//! | a stop is zero in its cycle | `stop`, `hands`, `daemon process` | `stop:` | `Action::Stop` | LINE-stop |
+//! | so is any hand on the stop file | `hands` | `stop:` | the file's place in `StopFile::is_asked` | `SIM_SEED=541 (StopFile) stop: none after 114 ms` |
+//! | a disarm brakes | `daemon process` | `unasked:` | `Action::Disarm` | LINE-disarm |
+//! | SIGTERM brakes, then zero | `shutdown` | `end:` | `Hold::Shutdown` | `SIM_SEED=34 (Terminate) end: the last word is a jump to zero` |
+//! | nothing moves before a robot is heard | `daemon process` | `no robot:` | `Hold::NoRobot` | LINE-unheard |
+//! | a silent robot disarms | `daemon process` | `brake:` | `Hold::RobotLost` | `SIM_SEED=20 (RobotSilent) brake: the law goes on for 425 ms` |
+//! | a faulty robot is a stop | `daemon process` | `brake:` | `Hold::RobotFault` | `SIM_SEED=22 (RobotFault) brake: the law goes on for 122 ms` |
+//! | one that does something else disarms | `daemon process` | `brake:` | `Hold::NotFollowed` | LINE-strays |
+//! | a blocked arm disarms | `follow` | `disarm:` | `Follow::add` | `SIM_SEED=24 (RobotBlocked) end: none after a minute` |
+//! | a silent policy brakes | `guardian` | `guardian:` | the end of a wish in `ControlStep::want` | LINE-wish |
+//! | a replay repeats the records | `guardian` | `replay:` | what a request names, in `replay` | LINE-replay |
+//! | a rehearsal changes nothing | | same hash | `predicted` in `ControlStep::restore` | LINE-rehearse |
 
 mod camera;
 mod daemon;
 mod fault;
+mod figures;
+mod memory;
 mod operator;
 mod plan;
 mod policy;
+mod process;
 mod property;
 mod queue;
 mod recorder;
 mod robot;
 mod stop_file;
+mod strike;
 mod trial;
 mod world;
 
@@ -19,8 +81,8 @@ use std::sync::LazyLock;
 use rayon::prelude::*;
 
 use fault::{ALL, Fault};
+use figures::Figures;
 use plan::{Plan, Stock};
-use trial::Figures;
 use world::{Found, World};
 
 /// One sampling period of the paper's scene, ns.
@@ -60,6 +122,10 @@ fn show(faults: &[Fault]) {
     let (seeds, is_told) = (seeds(faults), number("SIM_SEED").is_some());
     let run = |seed: &u64| (*seed, World::run(&STOCK, *seed, is_told));
     let runs: Vec<(u64, Found)> = seeds.par_iter().map(run).collect();
+    let broken = |(seed, found): &(u64, Found)| {
+        let what = found.broken.as_ref()?;
+        Some(format!("SIM_SEED={seed} ({:?}) {what}", found.fault))
+    };
     for fault in faults {
         let same = runs.iter().filter(|(_, found)| found.fault == *fault);
         let found: Vec<&Found> = same.map(|(_, found)| found).collect();
@@ -70,10 +136,7 @@ fn show(faults: &[Fault]) {
         let runs = found.len();
         println!("{fault:?}: {runs} runs, {seconds} s, {cycles} cycles; at most {most}");
     }
-    let broken = runs.iter().find_map(|(seed, found)| {
-        let what = found.broken.as_ref()?;
-        Some(format!("SIM_SEED={seed} ({:?}) {what}", found.fault))
-    });
+    let broken = runs.iter().find_map(broken);
     assert!(broken.is_none(), "{}", broken.unwrap_or_default());
 }
 

@@ -51,6 +51,16 @@ impl Stock {
         }
     }
 
+    /// Where the object may be at first.
+    pub fn starts(&self) -> &[Pose] {
+        &self.starts
+    }
+
+    /// The scene without limits of acceleration.
+    pub fn scene(&self) -> &Scene {
+        &self.scenes[0]
+    }
+
     /// The memory of motion.
     pub fn memory(&self) -> memory_blob::Memory<'_> {
         self.memory.view()
@@ -107,7 +117,8 @@ impl<'s> Plan<'s> {
             },
             start: match fault {
                 Fault::NoAnswer => VERY_FAR,
-                // Clearly elsewhere than the other object.
+                // From there another object is elsewhere for certain: at full speed the law's tolerance
+                // comes to half an image.
                 Fault::OtherAfterHidden | Fault::OtherAfterRestart => FAR[1],
                 _ if fault.needs_speed() => FAR[random.random_range(0..FAR.len())],
                 _ => stock.starts[random.random_range(0..stock.starts.len())],

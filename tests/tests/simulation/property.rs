@@ -137,7 +137,7 @@ impl Judge {
         if has_stopped {
             self.check(
                 command.twist == [0.0; 6] && command.state() == Some(TwistState::Disarmed),
-                || format!("stop: another command in its cycle: {command:?}"),
+                || format!("stop: another command in its cycle: {:?}", command.state()),
             );
         }
         if command.twist == [0.0; 6]

@@ -4,6 +4,10 @@ use messages::{RobotMode, RobotState, TwistCommand};
 
 use crate::fault::Fault;
 
+/// How much more along y than it is told a robot says that it moves that strays, m/s: twice the
+/// limit.
+const BESIDE: f64 = 1.0;
+
 /// The robot and its client.
 #[derive(Default)]
 pub struct Robot {
@@ -42,7 +46,6 @@ impl Robot {
         let told = command.in_force(now_ns);
         self.twist = match self.fault {
             Some(Fault::RobotDead | Fault::RobotFault | Fault::RobotBlocked) => [0.0; 6],
-            Some(Fault::RobotStrays) => told.map(|v| -v),
             _ => told,
         };
     }
@@ -66,6 +69,11 @@ impl Robot {
         state.mode = mode.code();
         state.twist = match (self.fault, self.command) {
             (Some(Fault::RobotBlocked), Some(command)) => command.in_force(now_ns),
+            (Some(Fault::RobotStrays), _) => {
+                let mut twist = self.twist;
+                twist[1] += BESIDE;
+                twist
+            }
             _ => self.twist,
         };
         Some(state)

@@ -1,22 +1,23 @@
 //! The course of a run: the camera is set in motion, something goes wrong, what must follow
 //! follows, and after that nothing moves until somebody arms again.
 
-use messages::{Action, Hold, Outcome as Answer, Request, StrategyCode, TwistCommand, TwistState};
+use messages::{Hold, Outcome as Answer, Request, TwistCommand, TwistState};
 use rand::RngExt;
 
 use crate::PERIOD_NS;
 use crate::daemon::Daemon;
-use crate::fault::{ALL, Fault, Outcome};
-use crate::operator::{Habit, MOST, Operator};
+use crate::fault::{Fault, Outcome};
+use crate::figures::Figures;
+use crate::operator::{Habit, Operator};
 use crate::queue::Event;
 use crate::world::{Left, World};
 
-const MS: u64 = 1_000_000;
-const SECOND: u64 = 1_000 * MS;
+pub const MS: u64 = 1_000_000;
+pub const SECOND: u64 = 1_000 * MS;
 /// Wake-ups and the way to the port, ns.
 const SLACK_NS: u64 = MS;
 /// For how long the law remembers its commands, and may take points for others, ns.
-const FORGOTTEN_NS: u64 = 36 * PERIOD_NS;
+pub const FORGOTTEN_NS: u64 = 36 * PERIOD_NS;
 /// In which a camera that is armed moves, ns.
 const PATIENCE_NS: u64 = 2 * SECOND;
 /// How long a robot without commands moves on, ns: the dead man and a tick.
@@ -31,43 +32,9 @@ const MOVED: u32 = 200;
 /// The deepest that a guarded point may be in an occlusion or outside the image, px.
 const DEEPEST_PX: f64 = 3.0;
 
-/// The most of a fault's runs: times, ns, and the greatest step, as a share of the limits.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Figures {
-    /// From the last good features or the fault to the first command that is not the law's.
-    pub brakes_ns: u64,
-    /// To the first zero.
-    pub zero_ns: u64,
-    /// To the end of the robot's motion, where no commands come.
-    pub rest_ns: u64,
-    /// From SIGTERM to the end.
-    pub end_ns: u64,
-    /// From the asking of a stop to zero.
-    pub stop_ns: u64,
-    /// The greatest step.
-    pub steepest: f64,
-    /// The deepest of a guarded point, px.
-    pub deepest_px: f64,
-}
-
-impl Figures {
-    /// The greater of each.
-    pub fn max(self, other: Self) -> Self {
-        Self {
-            brakes_ns: self.brakes_ns.max(other.brakes_ns),
-            zero_ns: self.zero_ns.max(other.zero_ns),
-            rest_ns: self.rest_ns.max(other.rest_ns),
-            end_ns: self.end_ns.max(other.end_ns),
-            stop_ns: self.stop_ns.max(other.stop_ns),
-            steepest: self.steepest.max(other.steepest),
-            deepest_px: self.deepest_px.max(other.deepest_px),
-        }
-    }
-}
-
 /// Where a run is.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Stage {
+pub enum Stage {
     /// Nothing may move; what is to come is due at the next turn.
     Waiting,
     /// It is to be set in motion.
@@ -94,23 +61,23 @@ enum Stage {
 
 /// The course of a run.
 pub struct Trial {
-    fault: Fault,
-    stage: Stage,
+    pub fault: Fault,
+    pub stage: Stage,
     /// From when times count: the last good features, or the fault, ns.
-    since_ns: u64,
+    pub since_ns: u64,
     /// Until when it must move, ns.
-    until_ns: u64,
+    pub until_ns: u64,
     /// How often the fault is still to strike.
-    strikes: u32,
+    pub strikes: u32,
     /// Whether the careful operator asks to arm.
-    is_armed_for: bool,
+    pub is_armed_for: bool,
     /// Whether it can be armed again after this fault.
-    can_arm: bool,
+    pub can_arm: bool,
     /// Whether zero at once is in order now.
     pub is_grave: bool,
     /// Twists that the other program has wanted, and cycles in which the camera moved.
-    twists: u32,
-    moved: u32,
+    pub twists: u32,
+    pub moved: u32,
     /// The times of this run.
     pub figures: Figures,
 }
@@ -202,7 +169,7 @@ impl World<'_> {
         }
     }
 
-    fn let_act(&mut self, number: usize, habit: Habit) {
+    pub fn let_act(&mut self, number: usize, habit: Habit) {
         self.operators[number] = Operator::new(number, habit);
         let first_ns = self.now_ns + self.between(0, PERIOD_NS);
         self.queue.at(first_ns, Event::Act(number));
@@ -275,6 +242,9 @@ impl World<'_> {
             return;
         };
         let zero_ns = goes_on_ns + brakes * self.plan.brake_ns();
+        if self.plan.fault.is_of_eyes() {
+            self.trial.since_ns = self.camera.good_ns();
+        }
         let Some(took_ns) = self.now_ns.checked_sub(self.trial.since_ns) else {
             return;
         };
@@ -283,11 +253,18 @@ impl World<'_> {
         let ms = took_ns / MS;
         let figures = &mut self.trial.figures;
         let had_zero = figures.zero_ns > 0;
-        if !is_of_law && figures.brakes_ns == 0 {
+        let brakes = !is_of_law && figures.brakes_ns == 0;
+        if brakes {
             figures.brakes_ns = took_ns;
         }
         if is_still && !had_zero {
             figures.zero_ns = took_ns;
+        }
+        // The last command of the law, and the one that replaces it.
+        if is_of_law || brakes {
+            self.judge.check(took_ns <= goes_on_ns + SLACK_NS, || {
+                format!("brake: the law goes on for {ms} ms")
+            });
         }
         let is_late = took_ns > zero_ns + SLACK_NS && !had_zero;
         if is_of_law {
@@ -328,7 +305,7 @@ impl World<'_> {
     }
 
     /// Somebody carries the camera to where it sees the pattern, where it does not.
-    fn see_well(&mut self) {
+    pub fn see_well(&mut self) {
         let size = [self.plan.scene.camera.width, self.plan.scene.camera.height];
         let is_seen = self.camera.eye.features().is_ok_and(|points| {
             let mut points = points.iter();
@@ -336,148 +313,6 @@ impl World<'_> {
         });
         if !is_seen {
             self.camera.place(&self.plan.start);
-        }
-    }
-
-    /// The fault begins.
-    pub fn strike(&mut self) {
-        let fault = self.plan.fault;
-        self.tell(|| format!("{fault:?}"));
-        let now_ns = self.now_ns;
-        let good_ns = self.camera.good_ns();
-        self.trial.since_ns = if fault.is_of_eyes() { good_ns } else { now_ns };
-        (self.trial.figures.brakes_ns, self.trial.figures.zero_ns) = (0, 0);
-        self.trial.stage = match fault.outcome() {
-            Outcome::GoesOn => {
-                self.queue.at(now_ns + SECOND, Event::Turn);
-                Stage::Going
-            }
-            Outcome::Ends => Stage::Ending,
-            _ => Stage::Failing,
-        };
-        self.begin_fault(fault);
-    }
-
-    fn begin_fault(&mut self, fault: Fault) {
-        let now_ns = self.now_ns;
-        match fault {
-            Fault::RobotSilent
-            | Fault::RobotDead
-            | Fault::RobotFault
-            | Fault::RobotStrays
-            | Fault::RobotBlocked => {
-                self.trial.is_grave = fault == Fault::RobotFault;
-                self.robot.fail(fault);
-            }
-            Fault::Crash | Fault::CrashDisarmed => self.crash(),
-            Fault::Hang => {
-                self.hung_until_ns = now_ns + 2 * SECOND;
-                self.trial.since_ns = self.hung_until_ns;
-                self.judge.hung_until(self.hung_until_ns);
-            }
-            Fault::Suspend => {
-                self.trial.is_grave = true;
-                self.suspended_ns += self.between(10 * MS, 100 * SECOND);
-            }
-            Fault::ClockBack => {
-                self.trial.is_grave = true;
-                self.back_ns = 2 * PERIOD_NS + self.between(0, PERIOD_NS);
-            }
-            Fault::LateOnce => {
-                let late_ns = self.between(2 * PERIOD_NS, 3 * PERIOD_NS);
-                self.late = (1, late_ns);
-            }
-            Fault::LateLoop => {
-                let late_ns = self.between(PERIOD_NS + MS, 2 * PERIOD_NS);
-                self.late = (12, late_ns);
-            }
-            Fault::Unsent => self.unsent = self.random.random_range(1..6),
-            Fault::Terminate | Fault::Reload => {
-                self.shutdown = true;
-                if fault == Fault::Reload && self.random.random_bool(0.3) {
-                    let at_ns = now_ns + self.between(0, 100 * MS);
-                    self.queue.at(at_ns, Event::Recover);
-                }
-            }
-            Fault::Stop | Fault::StopTwice => self.ask_stop(),
-            Fault::StopAgainstArm if self.random.random_bool(0.5) => self.ask_stop(),
-            Fault::StopInFlood => {
-                self.flood();
-                self.ask_stop();
-            }
-            Fault::StopInBrake => {
-                self.operators[1].ask(Request::new(0, Action::Disarm), now_ns);
-                let at_ns = now_ns + self.between(0, 100 * MS);
-                self.queue.at(at_ns, Event::Recover);
-            }
-            Fault::StopFile | Fault::StopAgainstArm => {
-                let must_be_usable = fault == Fault::StopAgainstArm || self.trial.strikes == 2;
-                self.change_stop_file(must_be_usable);
-            }
-            Fault::Disarm => self.operators[1].ask(Request::new(0, Action::Disarm), now_ns),
-            Fault::Strategy => {
-                let request = match self.random.random_bool(0.5) {
-                    true => Request::strategy(0, StrategyCode::Knn, 3),
-                    false => Request::strategy(0, StrategyCode::Previous, 0),
-                };
-                self.operators[1].ask(request, now_ns);
-            }
-            Fault::Flood => self.flood(),
-            _ => {
-                self.trial.is_grave = fault == Fault::Future;
-                self.camera.fail(fault, now_ns, &mut self.random);
-                if fault == Fault::Replaced {
-                    let at_ns = now_ns + self.between(400 * MS, 700 * MS);
-                    self.queue.at(at_ns, Event::Recover);
-                }
-            }
-        }
-    }
-
-    fn ask_stop(&mut self) {
-        self.operators[1].ask(Request::new(0, Action::Stop), self.now_ns);
-        // A promise of a loop that runs and can send.
-        if self.late.0 == 0 && self.unsent == 0 {
-            let asked_ns = self.now_ns.max(self.hung_until_ns);
-            self.judge.stop_asked(asked_ns);
-        }
-    }
-
-    /// All operators but the first two fill their queues.
-    fn flood(&mut self) {
-        for number in 2..MOST {
-            self.let_act(number, Habit::Flood);
-        }
-    }
-
-    fn change_stop_file(&mut self, must_be_usable: bool) {
-        let Some(domain) = &mut self.domain else {
-            return;
-        };
-        self.trial.can_arm = domain.change(must_be_usable, &mut self.random);
-        self.judge.stop_asked(self.now_ns);
-    }
-
-    fn crash(&mut self) {
-        self.kill();
-        self.trial.stage = Stage::Gone;
-        let start_ns = self.now_ns + self.between(100 * MS, SECOND);
-        self.queue.at(start_ns, Event::Start);
-        self.queue.at(start_ns + FORGOTTEN_NS, Event::Turn);
-    }
-
-    /// A second part of a fault, or its end.
-    pub fn recover(&mut self) {
-        match self.plan.fault {
-            Fault::Replaced => self.camera.replace(&self.plan.start),
-            Fault::StopInBrake => self.ask_stop(),
-            Fault::Reload if self.daemon.is_some() && self.shutdown => self.ask_stop(),
-            Fault::Storm => {
-                self.camera.recover();
-                self.robot.recover();
-                self.see_well();
-            }
-            _ => (),
         }
     }
 
@@ -604,61 +439,5 @@ impl World<'_> {
             format!("guardian: a point is {:.1} px deep", -least)
         });
         self.trial.stage = Stage::Over;
-    }
-
-    /// Something goes wrong, or something else, until the time is up.
-    fn storm(&mut self) {
-        if self.now_ns > self.trial.until_ns {
-            self.trial.stage = Stage::Over;
-            return;
-        }
-        self.trial.is_grave = false;
-        let number = self.random.random_range(0..ALL.len());
-        let fault = ALL[number];
-        let is_left_out = matches!(
-            fault,
-            Fault::Storm
-                | Fault::Guardian
-                | Fault::ArmedStart
-                | Fault::ArmedAlone
-                | Fault::RobotUnheard
-                | Fault::Crash
-                | Fault::CrashDisarmed
-                | Fault::Terminate
-                | Fault::Reload
-                | Fault::StopInBrake
-                | Fault::StopFile
-                | Fault::StopAgainstArm
-        );
-        // Records of a clock that goes back have no order.
-        let is_left_out = is_left_out || fault == Fault::ClockBack && self.plan.is_recorded;
-        if self.daemon.is_some() && !is_left_out {
-            self.tell(|| format!("{fault:?}"));
-            self.begin_fault(fault);
-        }
-        let recover_ns = self.now_ns + self.between(10 * MS, SECOND);
-        self.queue.at(recover_ns, Event::Recover);
-        let next_ns = recover_ns + self.between(10 * MS, 2 * SECOND);
-        self.queue.at(next_ns, Event::Turn);
-    }
-}
-
-impl std::fmt::Display for Figures {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let times = [
-            ("brakes", self.brakes_ns),
-            ("zero", self.zero_ns),
-            ("rest", self.rest_ns),
-            ("end", self.end_ns),
-            ("stop", self.stop_ns),
-        ];
-        for (name, ns) in times.into_iter().filter(|(_, ns)| *ns > 0) {
-            write!(f, "{name} {} ms, ", ns.div_ceil(MS))?;
-        }
-        write!(f, "step {:.4} of the limit", self.steepest)?;
-        if self.deepest_px > 0.0 {
-            write!(f, ", {:.2} px deep", self.deepest_px)?;
-        }
-        Ok(())
     }
 }

@@ -1,0 +1,59 @@
+//! The times of a run, and the greatest of many runs.
+
+use std::fmt;
+
+const MS: u64 = 1_000_000;
+
+/// The most of a fault's runs: times, ns, and the greatest step, as a share of the limits.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Figures {
+    /// From the last good features or the fault to the first command that is not the law's.
+    pub brakes_ns: u64,
+    /// To the first zero.
+    pub zero_ns: u64,
+    /// To the end of the robot's motion, where no commands come.
+    pub rest_ns: u64,
+    /// From SIGTERM to the end.
+    pub end_ns: u64,
+    /// From the asking of a stop to zero.
+    pub stop_ns: u64,
+    /// The greatest step.
+    pub steepest: f64,
+    /// The deepest of a guarded point, px.
+    pub deepest_px: f64,
+}
+
+impl Figures {
+    /// The greater of each.
+    pub fn max(self, other: Self) -> Self {
+        Self {
+            brakes_ns: self.brakes_ns.max(other.brakes_ns),
+            zero_ns: self.zero_ns.max(other.zero_ns),
+            rest_ns: self.rest_ns.max(other.rest_ns),
+            end_ns: self.end_ns.max(other.end_ns),
+            stop_ns: self.stop_ns.max(other.stop_ns),
+            steepest: self.steepest.max(other.steepest),
+            deepest_px: self.deepest_px.max(other.deepest_px),
+        }
+    }
+}
+
+impl fmt::Display for Figures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let times = [
+            ("brakes", self.brakes_ns),
+            ("zero", self.zero_ns),
+            ("rest", self.rest_ns),
+            ("end", self.end_ns),
+            ("stop", self.stop_ns),
+        ];
+        for (name, ns) in times.into_iter().filter(|(_, ns)| *ns > 0) {
+            write!(f, "{name} {} ms, ", ns.div_ceil(MS))?;
+        }
+        write!(f, "step {:.4} of the limit", self.steepest)?;
+        if self.deepest_px > 0.0 {
+            write!(f, ", {:.2} px deep", self.deepest_px)?;
+        }
+        Ok(())
+    }
+}
