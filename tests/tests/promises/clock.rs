@@ -1,18 +1,16 @@
-//! A wall clock that jumps by hours while everything runs: nothing happens. Gaps of the monotonic
-//! clock are in `hang.rs`, and by a clock moved by hand in the unit tests of
-//! `controller/decision/src/supervisor.rs`.
+//! A wall clock that jumps by hours while everything runs: nothing happens. In lockstep a run is the
+//! same to the last bit with and without the jumps. Gaps of the monotonic clock are in
+//! `cargo test --test simulation hang`.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::process::Stdio;
 
-use anyhow::ensure;
-use messages::Hold;
 use rustix::process::Signal;
+use serde_json::Value;
 
-use crate::fixture::{Place, Stage, not_run, turn};
-use crate::stall::fairly;
+use crate::fixture::{Place, Running, program, scene_file, starts_file};
 
-/// Stands before the C library: every second the wall clock is some hours elsewhere.
+/// Stands before the C library: each time that it is read the wall clock is some hours elsewhere.
 const SHIM: &str = r#"
 #define _GNU_SOURCE
 #include <sys/syscall.h>
@@ -21,9 +19,8 @@ const SHIM: &str = r#"
 #include <unistd.h>
 
 static long jump(void) {
-    struct timespec now;
-    syscall(SYS_clock_gettime, CLOCK_MONOTONIC, &now);
-    return ((now.tv_sec * 7919) % 11 - 5) * 3600;
+    static _Atomic long count;
+    return ((count++ * 7919) % 11 - 5) * 3600;
 }
 int clock_gettime(clockid_t clock, struct timespec *now) {
     int result = syscall(SYS_clock_gettime, clock, now);
@@ -46,80 +43,56 @@ time_t time(time_t *now) {
 }
 "#;
 
-/// The shim, compiled; why not.
-fn shim(place: &Place) -> Result<PathBuf, String> {
+/// The shim, compiled.
+fn shim(place: &Place) -> PathBuf {
     let source = place.file("shim.c", SHIM);
     let library = place.path("shim.so");
     let mut compile = testkit::command("cc");
-    compile
-        .args(["-shared", "-fPIC", "-O1", "-o"])
-        .arg(&library)
-        .arg(source);
-    let output = compile.output().map_err(|error| format!("cc: {error}"))?;
-    if output.status.success() {
-        Ok(library)
-    } else {
-        Err(String::from_utf8_lossy(&output.stderr).into_owned())
-    }
+    compile.args(["-shared", "-fPIC", "-O1", "-o"]);
+    let compiled = compile.arg(&library).arg(source).output().unwrap();
+    assert!(compiled.status.success(), "{compiled:?}");
+    library
+}
+
+/// What `date` shows, in hours.
+fn hour(library: &Path) -> i64 {
+    let mut date = testkit::command("date");
+    let shown = date.arg("+%s").env("LD_PRELOAD", library).output().unwrap();
+    let text = String::from_utf8(shown.stdout).unwrap();
+    text.trim().parse::<i64>().unwrap() / 3600
+}
+
+/// The verdict on a run of daemon and camera, under this library if any.
+fn run(library: Option<&Path>) -> Value {
+    let place = Place::new();
+    let mut daemon = place.vpcd("[law]\nstrategy = 'previous'\n[cycle]\nclock = 'lockstep'");
+    daemon.envs(library.map(|library| ("LD_PRELOAD", library)));
+    let daemon = Running::start(daemon);
+    let mut camera = testkit::command(program("hw-sim"));
+    camera.arg("--scene").arg(scene_file());
+    camera.arg("--starts").arg(starts_file());
+    camera.args(["--start", "0", "--clock", "lockstep", "--domain"]);
+    camera.arg(place.domain());
+    camera.envs(library.map(|library| ("LD_PRELOAD", library)));
+    camera.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let camera = Running::start(camera).ended();
+    assert_eq!(camera.code, Some(0), "{camera:?}");
+    daemon.signal(Signal::TERM);
+    assert_eq!(daemon.ended().code, Some(0));
+    serde_json::from_str(&camera.stdout).unwrap()
 }
 
 #[test]
 fn jumps_of_the_wall_clock_have_no_effect() {
-    let _turn = turn();
     let place = Place::new();
-    let library = match shim(&place) {
-        Ok(library) => library,
-        Err(reason) => return not_run("jumps of the wall clock", reason),
-    };
-    // The shim works: `date` shows hours that are not ours.
-    let hours: Vec<_> = (0..3)
-        .map(|_| {
-            std::thread::sleep(Duration::from_millis(1001));
-            let date = testkit::command("date")
-                .arg("+%s")
-                .env("LD_PRELOAD", &library)
-                .output()
-                .unwrap();
-            let told: i64 = String::from_utf8(date.stdout)
-                .unwrap()
-                .trim()
-                .parse()
-                .unwrap();
-            let now = std::time::SystemTime::now()
-                .duration_since(std::time::UNIX_EPOCH)
-                .unwrap();
-            (told - now.as_secs() as i64) / 3600
-        })
-        .collect();
-    assert!(hours.iter().any(|hour| *hour != hours[0]), "{hours:?}");
-
-    fairly("jumps of the wall clock", || jump(&library));
-}
-
-/// A run under jumps: no cycle has a reason not to send the law's twist, and none is missed.
-fn jump(library: &Path) -> anyhow::Result<()> {
-    let Stage {
-        place: _stage,
-        mut witness,
-        daemon,
-        camera: _camera,
-    } = Stage::with(0, &[("LD_PRELOAD", library)]);
-    witness.records();
-    std::thread::sleep(Duration::from_secs(3));
-    let records = witness.records();
-    ensure!(records.len() > 75, "{}", records.len());
-    let missed = records[records.len() - 1].overruns - records[0].overruns;
-    ensure!(missed == 0, "{missed} releases missed");
-    // hw-sim ends when the goal is reached; until then no cycle had a reason not to send the law's
-    // twist.
-    let causes: Vec<_> = records
-        .iter()
-        .map(|record| record.hold())
-        .take_while(|hold| !matches!(hold, Some(Hold::Stale | Hold::Lost)))
-        .collect();
-    ensure!(causes.len() > 15, "{causes:?}");
-    ensure!(causes.iter().all(Option::is_none), "{causes:?}");
-    daemon.signal(Signal::TERM);
-    assert_eq!(daemon.ended().code, Some(0));
-    Ok(())
+    let library = shim(&place);
+    // The shim works: the first hour that `date` shows is five hours ago.
+    let now = std::time::SystemTime::now();
+    let now = now.duration_since(std::time::UNIX_EPOCH).unwrap();
+    assert!(hour(&library) <= now.as_secs() as i64 / 3600 - 4);
+    let (calm, jumping) = (run(None), run(Some(&library)));
+    for key in ["verdict", "error_px", "time_s", "frames"] {
+        assert!(!calm[key].is_null(), "{key}: {calm}");
+        assert_eq!(calm[key], jumping[key], "{key}: {calm} {jumping}");
+    }
 }
