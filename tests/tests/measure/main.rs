@@ -218,9 +218,14 @@ fn measurements() -> Vec<Measurement> {
             realtime::measure,
         ),
         Measurement::new(
-            "orphans",
-            "the demo and a test harness leave no process behind, however they end",
-            orphans::measure,
+            "orphans, demo",
+            "the demo leaves nothing behind, however it ends",
+            orphans::measure_demo,
+        ),
+        Measurement::new(
+            "orphans, harness",
+            "a test harness that aborts or is killed leaves no process behind",
+            orphans::measure_harness,
         ),
     ]);
     for hang in watchdog::HANGS {

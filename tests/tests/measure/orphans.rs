@@ -170,11 +170,9 @@ fn leaves_nothing(signal: Signal) -> [f64; 2] {
     }
 }
 
-/// Measures.
-pub fn measure(sheet: &mut Sheet) {
-    for name in ["vpcd", "hw-sim"] {
-        program(name);
-    }
+/// Measures the demo.
+pub fn measure_demo(sheet: &mut Sheet) {
+    program("vpcd");
     for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
         let what = format!("demo, {signal:?}");
         let ended = sheet.round(&[Class::Ordinary], &what, || Ok(leaves_nothing(signal)));
@@ -192,6 +190,13 @@ pub fn measure(sheet: &mut Sheet) {
             case();
             Ok(())
         });
+    }
+}
+
+/// Measures a harness of tests, which has the children that tests have.
+pub fn measure_harness(sheet: &mut Sheet) {
+    for name in ["vpcd", "hw-sim"] {
+        program(name);
     }
     for signal in [Signal::ABORT, Signal::KILL] {
         let what = format!("a harness, {signal:?}");
