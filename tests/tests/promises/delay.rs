@@ -9,7 +9,7 @@ use system_tests::simulated::Simulated;
 use vpc::Settings;
 
 /// Starts at which the memory-less strategy arrives without delay.
-const STARTS: [usize; 8] = [0, 4, 8, 12, 16, 20, 24, 28];
+const STARTS: [usize; 4] = [0, 8, 16, 24];
 
 fn runs(delay_frames: usize, delay_compensation: bool) -> Vec<Run> {
     let scene = Scene::parse(scene::PAPER_SIM, "paper-sim.toml").unwrap();

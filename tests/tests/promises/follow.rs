@@ -274,7 +274,7 @@ fn all(
 
 #[test]
 fn an_image_that_follows_badly_is_believed() {
-    let count = repeats("images that follow", 400, 10_000);
+    let count = repeats("images that follow", 100, 10_000);
     let runs = all(count, 1, |scene, random| {
         (World::draw(scene, random), Fault::None, FRAMES)
     });
@@ -294,7 +294,7 @@ fn an_image_that_follows_badly_is_believed() {
 
 #[test]
 fn an_image_that_does_not_follow_disarms() {
-    let count = repeats("images that do not follow", 400, 10_000);
+    let count = repeats("images that do not follow", 100, 10_000);
     let runs = all(count, 2, |_, random| {
         let fault = match random.random_range(0..3) {
             0 => Fault::Frozen(10_f64.powf(random.random_range(-9.0..-0.3))),

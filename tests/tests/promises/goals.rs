@@ -2,7 +2,8 @@
 //! ends that. In lockstep: the camera waits for each answer.
 
 use std::fs;
-use std::path::Path;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +16,7 @@ use messages::{Action, CycleRecord, Features, Hold, Outcome, Stamp, TwistState};
 use scene::{Scene, with_value};
 
 use crate::fixture::{
-    Ended, PERIOD_NS, Place, Running, Witness, ended, eventually, is_still, memory_file, program,
+    Ended, PERIOD_NS, Place, Running, Witness, ended, eventually, is_still, program,
 };
 
 /// A camera on the first start, on a thread of its own and in lockstep, until it is dropped.
@@ -86,6 +87,7 @@ struct Shown {
     daemon: Running,
     _camera: Camera,
     place: Place,
+    vpcctl: PathBuf,
 }
 
 impl Shown {
@@ -98,7 +100,6 @@ impl Shown {
         let place = Place::new();
         let witness = Witness::new(&place);
         place.file("own.toml", scene::PAPER_SIM);
-        fs::copy(memory_file(), place.path("own.vpcmem")).unwrap();
         let text = format!("scene = 'own.toml'\nsafety.armed = false\n{law}");
         let mut daemon = testkit::command(program("vpcd"));
         daemon.arg("--config").arg(place.file("vpcd.toml", text));
@@ -110,6 +111,7 @@ impl Shown {
             _camera: Camera::start(&place),
             place,
             witness,
+            vpcctl: program("vpcctl"),
         };
         eventually("a cycle with features", || {
             shown
@@ -123,7 +125,7 @@ impl Shown {
     }
 
     fn vpcctl(&self, words: &[&str]) -> Command {
-        let mut command = testkit::command(program("vpcctl"));
+        let mut command = testkit::command(&self.vpcctl);
         command.arg("--domain").arg(self.place.domain()).args(words);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         command
@@ -236,15 +238,42 @@ fn a_goal_that_cannot_be_taken_up_changes_nothing() {
 
 #[test]
 fn its_memory_is_built_and_taken_up() {
-    let mut shown = Shown::with("memory = 'own.vpcmem'\n[law]\nstrategy = 'foresight'\n");
-    let memory = shown.place.path("own.vpcmem");
+    // Beside this vpcctl is a vpc-memory that builds a small one.
+    let builders = Place::new();
+    let settings = "--trajectories 4 --iterations 20 --gpr-samples 40";
+    let builder = program("vpc-memory");
+    let script = format!(
+        "#!/bin/sh\nexec '{}' \"$@\" {settings}\n",
+        builder.display()
+    );
+    let script = builders.file("vpc-memory", script);
+    fs::set_permissions(script, fs::Permissions::from_mode(0o755)).unwrap();
+    let (whole, vpcctl) = (program("vpcctl"), builders.path("vpcctl"));
+    let linked = fs::hard_link(&whole, &vpcctl);
+    linked
+        .or_else(|_| fs::copy(&whole, &vpcctl).map(drop))
+        .unwrap();
+    let own = Place::new();
+    let first = own.path("own.vpcmem");
+    let mut build = testkit::command(builder);
+    build
+        .arg("build")
+        .arg(own.file("own.toml", scene::PAPER_SIM));
+    build.arg("-o").arg(&first).args(settings.split(' '));
+    let said = ended(build.stdout(Stdio::null()).stderr(Stdio::piped()));
+    assert_eq!(said.code, Some(0), "{said:?}");
+
+    let memory = format!(
+        "memory = '{}'\n[law]\nstrategy = 'foresight'\n",
+        first.display()
+    );
+    let mut shown = Shown::with(&memory);
+    shown.vpcctl = vpcctl;
+    let memory = first;
     let before = fs::read(&memory).unwrap();
     shown.taught();
     assert_ne!(fs::read(&memory).unwrap(), before);
-    assert_eq!(
-        fs::read(shown.place.path("own.vpcmem.before")).unwrap(),
-        before
-    );
+    assert_eq!(fs::read(own.path("own.vpcmem.before")).unwrap(), before);
     eventually("arming", || {
         (shown.witness.ask(Action::Arm) == Outcome::Done).then_some(())
     });

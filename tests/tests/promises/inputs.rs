@@ -127,7 +127,7 @@ fn edited_scenes_and_masks_are_read_or_refused_by_name() {
     let png = std::fs::read(png).unwrap();
     let (head, _) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
     let painted = format!("{head}[[occlusion]]\nname = \"a\"\nmask = \"mask.png\"\n");
-    let cases = repeats("edited scenes", 400, 40_000);
+    let cases = repeats("edited scenes", 200, 40_000);
     let which = proptest::bool::weighted(0.2);
     check(cases, (which, edits()), |(is_mask, edits)| {
         let (text, png) = match is_mask {
@@ -222,7 +222,7 @@ fn an_edited_recording_is_refused_or_replayed_to_its_end() {
 fn whatever_the_controller_did_not_write_last_is_a_stop() {
     let place = Place::new();
     let file = place.path(STOP_FILE);
-    let cases = repeats("contents of the stop file", 2_000, 100_000);
+    let cases = repeats("contents of the stop file", 500, 100_000);
     let content = || proptest::collection::vec(prop_oneof![Just(0), any::<u8>()], 0..100);
     // As C pads: what is missing is zero.
     let first = |bytes: &[u8]| {
@@ -485,7 +485,7 @@ fn judge(
 
 #[test]
 fn no_sequence_of_inputs_breaks_what_holds_of_the_twist() {
-    let inputs = repeats("inputs of the decision step", 20_000, 1_000_000);
+    let inputs = repeats("inputs of the decision step", 10_000, 1_000_000);
     let events = proptest::collection::vec(event(), 1..MOST);
     let begin = [
         [250.0, 250.0],
