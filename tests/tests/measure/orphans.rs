@@ -137,36 +137,44 @@ fn segments(prefixes: &[String]) -> usize {
 /// Stops the demo by this signal while its pairs run: how long until it had ended, and its last
 /// child, ms.
 fn leaves_nothing(signal: Signal) -> [f64; 2] {
-    let name = "demo";
-    {
-        let mut parent = Parent::start(DEMO[0], &[DEMO[1], "--no-progress"], None);
-        parent.runs(&["vpcd", "hw-sim"]);
-        std::thread::sleep(Duration::from_millis(300));
-        let prefixes = eventually("the pair's shared memory", || {
-            let domains = parent.domains();
-            let prefixes = domains.iter().map(|domain| shared_memory_prefix(domain));
-            let prefixes = prefixes.collect::<Result<Vec<_>, _>>().ok()?;
-            (segments(&prefixes) > 0).then_some(prefixes)
+    let mut parent = Parent::start(DEMO[0], &[DEMO[1], "--no-progress"], None);
+    parent.runs(&["vpcd", "hw-sim"]);
+    std::thread::sleep(Duration::from_millis(300));
+    let prefixes = eventually("the pair's shared memory", || {
+        let domains = parent.domains();
+        let prefixes = domains.iter().map(|domain| shared_memory_prefix(domain));
+        let prefixes = prefixes.collect::<Result<Vec<_>, _>>().ok()?;
+        (segments(&prefixes) > 0).then_some(prefixes)
+    });
+    let before = parent.family();
+    let begin = Instant::now();
+    let status = parent.ends_by(signal);
+    let ended = begin.elapsed();
+    assert_eq!(status.signal(), Some(signal.as_raw()), "{status}");
+    if signal == Signal::KILL {
+        // The guardian tells the children, who then leave by themselves.
+        eventually("the end of children", || {
+            parent.family().is_empty().then_some(())
         });
-        let before = parent.family();
-        let begin = Instant::now();
-        let status = parent.ends_by(signal);
-        let ended = begin.elapsed();
-        assert_eq!(status.signal(), Some(signal.as_raw()), "{name}: {status}");
-        if signal == Signal::KILL {
-            // The guardian tells the children, who then leave by themselves.
-            eventually("the end of children", || {
-                parent.family().is_empty().then_some(())
-            });
-        } else {
-            assert_eq!(parent.family(), [], "{name}, {signal:?}, of {before:?}");
-            assert_eq!(segments(&prefixes), 0, "{name}, {signal:?}: {prefixes:?}");
-            let left = fs::read_dir(parent.place.path("")).unwrap().flatten();
-            let left: Vec<_> = left.map(|entry| entry.file_name()).collect();
-            let is_ours = |name: &std::ffi::OsString| name.as_bytes().starts_with(b"vpc-");
-            assert!(!left.iter().any(is_ours), "{name}, {signal:?}: {left:?}");
-        }
-        [ended, begin.elapsed()].map(|time| time.as_secs_f64() * 1e3)
+    } else {
+        assert_eq!(parent.family(), [], "of {before:?}");
+        assert_eq!(segments(&prefixes), 0, "{prefixes:?}");
+        let left = fs::read_dir(parent.place.path("")).unwrap().flatten();
+        let left: Vec<_> = left.map(|entry| entry.file_name()).collect();
+        let is_ours = |name: &std::ffi::OsString| name.as_bytes().starts_with(b"vpc-");
+        assert!(!left.iter().any(is_ours), "{left:?}");
+    }
+    [ended, begin.elapsed()].map(|time| time.as_secs_f64() * 1e3)
+}
+
+/// The signal's name.
+fn name(signal: Signal) -> &'static str {
+    match signal {
+        Signal::INT => "SIGINT",
+        Signal::TERM => "SIGTERM",
+        Signal::HUP => "SIGHUP",
+        Signal::ABORT => "SIGABRT",
+        _ => "SIGKILL",
     }
 }
 
@@ -174,7 +182,7 @@ fn leaves_nothing(signal: Signal) -> [f64; 2] {
 pub fn measure_demo(sheet: &mut Sheet) {
     program("vpcd");
     for signal in [Signal::INT, Signal::TERM, Signal::HUP, Signal::KILL] {
-        let what = format!("demo, {signal:?}");
+        let what = format!("demo, {}", name(signal));
         let ended = sheet.round(&[Class::Ordinary], &what, || Ok(leaves_nothing(signal)));
         if let Some([ended, left]) = ended {
             sheet.figure(&format!("{what}: ended after"), ended, "ms");
@@ -199,7 +207,7 @@ pub fn measure_harness(sheet: &mut Sheet) {
         program(name);
     }
     for signal in [Signal::ABORT, Signal::KILL] {
-        let what = format!("a harness, {signal:?}");
+        let what = format!("a harness, {}", name(signal));
         let left = sheet.round(&[Class::Ordinary], &what, || Ok(harness_leaves(signal)));
         if let Some(ms) = left {
             sheet.figure(&format!("{what}: children after"), ms, "ms");
