@@ -146,7 +146,9 @@ fn half_a_second_without_points_is_bridged() {
             assert!(run.deepest_px < 3.0, "{index}: {}", run.deepest_px);
         }
     }
-    assert!(refused <= if is_long() { 4 } else { 1 }, "{refused}");
+    // Some are, or what is known of hidden points would not count.
+    let most = if is_long() { 4 } else { 1 };
+    assert!((1..=most).contains(&refused), "{refused}");
 }
 
 /// What is believed does not depend on the strategy; the one without foresight takes a fiftieth of
