@@ -3,10 +3,10 @@
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
-/// Runs `vpcctl` on a domain; it ends by itself, or else after a minute.
+/// Runs `vpcctl` on a domain; it ends by itself, or else after five minutes.
 pub fn vpcctl(domain: &Path, words: &[&str]) -> Output {
     testkit::command("timeout")
-        .args(["--foreground", "60", env!("CARGO_BIN_EXE_vpcctl")])
+        .args(["--foreground", "300", env!("CARGO_BIN_EXE_vpcctl")])
         .arg("--domain")
         .arg(domain)
         .args(words)
