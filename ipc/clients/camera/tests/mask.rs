@@ -18,7 +18,6 @@ use vpc_camera::grey::Grey;
 use vpc_camera::mask::{Arguments, Frames, LearnError, Learned, Settings, learn, run};
 
 const IMAGES: usize = 60;
-const SEEDS: u64 = 6;
 
 fn scene() -> Scene {
     Scene::parse(scene::TAGS_ROBOT, "tags").unwrap()
@@ -134,7 +133,7 @@ fn scores(learned: &Learned) -> [Score; 2] {
 /// px too small all round before it grows.
 #[test]
 fn spot_and_object_are_learned_from_images_of_a_moving_camera() {
-    for seed in 0..SEEDS {
+    for seed in 0..testkit::repeats("masks", 2, 6) as u64 {
         let frames = sequence(&look(seed), way(seed, 1.0));
         let learned = learn(&frames, &Settings::default()).unwrap();
         let [spot, object] = scores(&learned);
@@ -158,7 +157,7 @@ fn spot_and_object_are_learned_from_images_of_a_moving_camera() {
 /// object.
 #[test]
 fn a_spot_with_a_sharper_border_is_within_three_pixels() {
-    for seed in 0..3 {
+    for seed in 0..testkit::repeats("masks of a sharper spot", 1, 3) as u64 {
         let mut look = look(seed);
         look.spot.softness_px = 2.0;
         let learned = learn(&sequence(&look, way(seed, 1.0)), &Settings::default()).unwrap();
@@ -171,7 +170,7 @@ fn a_spot_with_a_sharper_border_is_within_three_pixels() {
 /// A camera whose exposure changes by a fifth.
 #[test]
 fn slow_changes_of_exposure_do_not_matter() {
-    for seed in 0..3 {
+    for seed in 0..testkit::repeats("masks under changes of exposure", 1, 3) as u64 {
         let mut frames = Frames::new(640, 480).unwrap();
         let mut index = 0;
         render(&scene(), &look(seed), way(seed, 1.0), |image| {

@@ -2,6 +2,7 @@
 
 use markers::Family;
 use scene::{Pose, Scene};
+use testkit::repeats;
 use vision::{Look, Renderer};
 use vpc_camera::config::Targets;
 use vpc_camera::finder::Finder;
@@ -35,12 +36,13 @@ fn what_is_seen_is_exact_and_what_is_hidden_is_guessed() {
     let targets = Targets::Centres(vec![0, 1, 2, 3]);
     let mut renderer = Renderer::new(&scene, &Look::default());
     let (mut seen, mut guessed) = (Errors::default(), Errors::default());
-    let (mut free, mut missed, mut hidden, mut leaked) = (0, 0, 0, 0);
-    for pass in 0..6 {
+    let (mut free, mut missed, mut hidden, mut leaked) = (0_usize, 0, 0_usize, 0);
+    let passes = repeats("passes", 2, 6);
+    for pass in (0..6).step_by(6 / passes) {
         let mut finder = Finder::new(&scene, &lens, Family::default(), &targets).unwrap();
         for n in 0..150 {
             // Across the image, each pass another way.
-            let (t, side) = (f64::from(n) / 149.0, f64::from(pass) - 2.5);
+            let (t, side) = (f64::from(n) / 149.0, pass as f64 - 2.5);
             let pose = Pose {
                 translation: [
                     0.2 * (t - 0.5),
@@ -59,10 +61,10 @@ fn what_is_seen_is_exact_and_what_is_hidden_is_guessed() {
                 } else if found.visible.count_ones() > 0 && n > 0 {
                     guessed.add(*point, truth);
                 }
-                free += i32::from(share == 0.0);
-                missed += i32::from(share == 0.0 && !is_seen);
-                hidden += i32::from(share > 0.1);
-                leaked += i32::from(share > 0.1 && is_seen);
+                free += usize::from(share == 0.0);
+                missed += usize::from(share == 0.0 && !is_seen);
+                hidden += usize::from(share > 0.1);
+                leaked += usize::from(share > 0.1 && is_seen);
             }
         }
     }
@@ -75,7 +77,11 @@ fn what_is_seen_is_exact_and_what_is_hidden_is_guessed() {
         guessed.worst
     );
     assert!(seen.rms() < 0.1 && seen.worst < 0.5, "{seen:?}");
-    assert!(guessed.count > 50.0 && guessed.worst < 5.0, "{guessed:?}");
-    assert!(hidden > 200 && leaked == 0, "{leaked} of {hidden}");
-    assert!(free > 1000 && missed <= free / 50, "{missed} of {free}");
+    assert!(guessed.worst < 5.0, "{guessed:?}");
+    assert!(guessed.count > 8.0 * passes as f64, "{guessed:?}");
+    assert!(hidden > 30 * passes && leaked == 0, "{leaked} of {hidden}");
+    assert!(
+        free > 150 * passes && missed <= free / 50,
+        "{missed} of {free}"
+    );
 }

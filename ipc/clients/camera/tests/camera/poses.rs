@@ -71,7 +71,7 @@ fn features_are_within_a_tenth_of_a_pixel_of_the_truth() {
     let across = |image: &Image| smeared(image, 3, false);
     let down = |image: &Image| smeared(image, 3, true);
     let bent = |image: &Image| through(&curved, &scene.camera, image);
-    let frames = repeats("frames of each kind", 40, 1000);
+    let frames = repeats("frames of each kind", 10, 1000);
     // A name, how images are made, errors (px RMS) and shares of tags. Of contrast and lens
     // 0.95 would be within the scatter of a few hundred tags.
     for (name, lens, look, change, most, least) in [
