@@ -107,7 +107,6 @@ fn the_commands_of_the_operators_readme_run() {
     // In front of the occlusion the camera stands; it may still be on its way.
     readme.ends("vpcctl status", &[0, 1], &[]);
     readme.ends("vpcctl watch", &[64], &[]);
-    readme.run("vpcctl arm", &[]);
     // What it finds is the machine's.
     readme.ends("vpcctl doctor", &[0, 1], &[]);
     readme.run("vpcctl metrics", &[("", "--once")]);
