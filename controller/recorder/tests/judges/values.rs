@@ -10,7 +10,7 @@ use scene::SceneFiles;
 use testkit::Place;
 use testkit::python::run;
 
-use crate::fixture::{FILE, MESSAGES, published_and_read, same};
+use crate::fixture::{FILE, MESSAGES, OF_AN_ARM, published_and_read, same};
 use crate::python::{check, python};
 
 #[test]

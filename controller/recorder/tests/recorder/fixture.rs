@@ -22,6 +22,9 @@ pub const MESSAGES: usize = 64;
 /// Name of the recording in a place.
 pub const FILE: &str = "run.mcap";
 
+/// A topic of the layout that is not recorded here: the scene names no arm.
+pub const OF_AN_ARM: &str = "/camera/joints";
+
 /// How to record a place.
 pub fn options(place: &Place) -> Options {
     Options {

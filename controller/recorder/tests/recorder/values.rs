@@ -6,7 +6,7 @@ use recorder::Account;
 use serde_json::Value;
 use testkit::Place;
 
-use crate::fixture::{FILE, MESSAGES, published_and_read, same};
+use crate::fixture::{FILE, MESSAGES, OF_AN_ARM, published_and_read, same};
 
 #[test]
 fn what_was_published_comes_back() {
@@ -36,9 +36,6 @@ fn what_was_published_comes_back() {
         }
     );
 }
-
-/// A topic of the layout that is not recorded here: the scene names no arm.
-const OF_AN_ARM: &str = "/camera/joints";
 
 /// Every topic in the layout for Foxglove is in the file, every field in the schema of its topic.
 fn layout_names_what_is_recorded(file: &Path) {
