@@ -104,18 +104,24 @@ fn picture(board: &Board, pose: &Iso3, chance: &mut Chance) -> Picture {
         level(board, [p.x / p.z, p.y / p.z])
     };
     let offset = |k: usize| (k as f64 + 0.5) / SAMPLES as f64 - 0.5;
+    // Where pixels meet.
+    let row = size[0] + 1;
+    let between: Vec<f64> = (0..row * (size[1] + 1))
+        .map(|n| look((n % row) as f64 - 0.5, (n / row) as f64 - 0.5))
+        .collect();
     let mut levels: Vec<f64> = (0..size[0] * size[1])
         .map(|n| {
-            let [u, v] = [(n % size[0]) as f64, (n / size[0]) as f64];
+            let [u, v] = [n % size[0], n / size[0]];
+            let at = v * row + u;
+            let [u, v] = [u as f64, v as f64];
             // Most pixels are of one level.
-            let corners = [
-                [-0.5, -0.5],
-                [0.5, -0.5],
-                [0.5, 0.5],
-                [-0.5, 0.5],
-                [0.0, 0.0],
+            let levels = [
+                between[at],
+                between[at + 1],
+                between[at + row],
+                between[at + row + 1],
+                look(u, v),
             ];
-            let levels = corners.map(|[a, b]| look(u + a, v + b));
             if levels.iter().all(|level| *level == levels[0]) {
                 return levels[0];
             }

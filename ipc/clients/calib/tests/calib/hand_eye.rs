@@ -22,7 +22,7 @@ fn found(pairs: &[Pair]) -> Result<HandEye, HandEyeError> {
 #[test]
 fn the_mounting_is_found_and_its_uncertainty_is_true() {
     let (mut scores, mut worst) = (Vec::new(), [0.0f64; 2]);
-    for seed in 0..testkit::repeats("hand-eye", 4, 40) as u64 {
+    for seed in 0..testkit::repeats("hand-eye", 1, 40) as u64 {
         let result = found(&pairs(&mut Chance::new(seed), 12, 35.0, PANDA)).unwrap();
         let verdict = result.verdict();
         assert!(verdict.is_good(), "{seed}: {verdict}\n{result}");
@@ -46,8 +46,14 @@ fn the_mounting_is_found_and_its_uncertainty_is_true() {
         1e3 * worst[0],
         worst[1]
     ));
+    // Of one calibration alone, three standard deviations at most.
     let spread = scores.iter().map(|z| z * z).sum::<f64>() / scores.len() as f64;
-    assert!((0.2..3.0).contains(&spread), "{spread}: {scores:?}");
+    let allowed = if testkit::is_long() {
+        0.2..3.0
+    } else {
+        0.0..9.0
+    };
+    assert!(allowed.contains(&spread), "{spread}: {scores:?}");
 }
 
 #[test]
@@ -67,6 +73,7 @@ fn motions_that_say_too_little_are_refused() {
 }
 
 #[test]
+#[ignore = "long: the optimizer is others' code, which a dev build does not optimize"]
 fn a_board_of_another_size_is_told_by_the_motion() {
     let pairs = pairs(&mut Chance::new(2), 12, 35.0, PANDA);
     // Printed at 97 %, to fit the page.
@@ -106,6 +113,7 @@ fn poses_that_are_not_those_of_the_images_are_refused() {
 }
 
 #[test]
+#[ignore = "long: the optimizer is others' code, which a dev build does not optimize"]
 fn a_moved_arm_or_pushed_board_is_not_good_enough() {
     let mut chance = Chance::new(4);
     let shaky = found(&pairs(&mut chance, 12, 35.0, [4e-3, 0.5])).unwrap();
@@ -158,10 +166,11 @@ fn measured(pairs: &[Pair], chance: &mut Chance, error: [f64; 2]) -> Vec<RobotPo
 }
 
 #[test]
+#[ignore = "long: the optimizer is others' code, which a dev build does not optimize"]
 fn a_camera_that_stands_is_found_and_its_uncertainty_is_true() {
     let [camera, board] = standing();
     let (mut scores, mut worst) = (Vec::new(), [0.0f64; 2]);
-    for seed in 0..testkit::repeats("eye to hand", 4, 40) as u64 {
+    for seed in 0..testkit::repeats("eye to hand", 2, 40) as u64 {
         let mut chance = Chance::new(seed);
         let mut pairs = pairs(&mut chance, 12, 35.0, [0.0; 2]);
         stand(&mut pairs, &mut chance);

@@ -29,7 +29,7 @@ fn found(views: &[View]) -> Result<Intrinsics, IntrinsicsError> {
 #[test]
 fn focal_lengths_are_found_to_a_tenth_of_a_percent() {
     let mut scores = Vec::new();
-    for seed in 0..testkit::repeats("intrinsics", 8, 60) as u64 {
+    for seed in 0..testkit::repeats("intrinsics", 2, 60) as u64 {
         let views = views(&mut Chance::new(seed), 14, 35.0, 0.05);
         let result = found(&views).unwrap();
         let (camera, verdict) = (&result.camera, result.verdict());
