@@ -265,7 +265,7 @@ impl Fault {
 
     /// Whether the camera causes it: times count from the last good features.
     pub fn is_of_eyes(self) -> bool {
-        self <= Self::NoAnswer && self != Self::Future || self == Self::RobotBlocked
+        self <= Self::NoAnswer && self != Self::Future
     }
 
     /// Whether it is noticed only where the camera moves fast.

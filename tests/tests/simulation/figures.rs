@@ -11,6 +11,8 @@ pub struct Figures {
     pub brakes_ns: u64,
     /// To the first zero.
     pub zero_ns: u64,
+    /// The same where the scene limits the acceleration.
+    pub limited_ns: u64,
     /// To the end of the robot's motion, where no commands come.
     pub rest_ns: u64,
     /// From SIGTERM to the end.
@@ -29,6 +31,7 @@ impl Figures {
         Self {
             brakes_ns: self.brakes_ns.max(other.brakes_ns),
             zero_ns: self.zero_ns.max(other.zero_ns),
+            limited_ns: self.limited_ns.max(other.limited_ns),
             rest_ns: self.rest_ns.max(other.rest_ns),
             end_ns: self.end_ns.max(other.end_ns),
             stop_ns: self.stop_ns.max(other.stop_ns),
@@ -43,6 +46,7 @@ impl fmt::Display for Figures {
         let times = [
             ("brakes", self.brakes_ns),
             ("zero", self.zero_ns),
+            ("zero with limited acceleration", self.limited_ns),
             ("rest", self.rest_ns),
             ("end", self.end_ns),
             ("stop", self.stop_ns),

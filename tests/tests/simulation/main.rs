@@ -28,35 +28,36 @@
 //! | or is in the future | | `brake:` | `FUTURE_NS` in `Gate::wrong_time` | `SIM_SEED=12 (Future) brake: the law goes on for 128 ms` |
 //! | or repeats an image | `silence` | `brake:` | `frozen::check` | `SIM_SEED=1 (Image) brake: the law goes on for 130 ms` |
 //! | with a little noise | `silence` | `cause:` | `Follow::add` | `SIM_SEED=2 (Noise) cause: Some(Lost), must be one of [NotFollowing, Frozen]` |
-//! | or shows another object | `silence` | `brake:` | `gate::check_place` | LINE-place |
-//! | or shows points in a corner or on a line | `silence` | `brake:` | `gate::check_shape` | LINE-shape |
-//! | or hides a point for more than `blind_s` | `silence` | `brake:` | the end of `Law::completed` | LINE-hidden |
+//! | or shows another object | `silence` | `brake:` | `gate::check_place` | `SIM_SEED=4 (OtherAfterRestart) brake: the law goes on for 118 ms` |
+//! | or shows points in a corner or on a line | `silence` | `brake:` | `gate::check_shape` | `SIM_SEED=10 (Line) brake: the law goes on for 108 ms` |
+//! | or hides a point for more than `blind_s` | `silence` | `brake:` | the end of `Law::completed` | `SIM_SEED=8 (Hidden) brake: the law goes on for 1132 ms` |
 //! | without features it disarms | `silence` | `disarm:` | `Hold::Lost` | `SIM_SEED=0 (Freeze) disarm: not in 2279 ms: holding, Some(Stale)` |
-//! | no command jumps | `steps` | `steps:`, `brake:` | the bound in `Supervisor::braked` | LINE-brake |
+//! | no command jumps | `steps` | `steps:`, `brake:` | the bound in `Supervisor::braked` | `SIM_SEED=0 (Freeze) steps: 4.500 of what is allowed` |
 //! | a loop that is late again and again disarms | `failures` | `brake:` | `Hold::Overruns` | `SIM_SEED=32 (LateLoop) brake: the law goes on for 438 ms` |
-//! | one late cycle is forgiven | `failures` | `goes on:` | `OVERRUN * IN_A_ROW` | LINE-once |
-//! | a law without an answer disarms | `failures` | `disarm:` | the third failure in `Supervisor::response` | LINE-solver |
+//! | one late cycle is forgiven | `failures` | `goes on:` | `OVERRUN * IN_A_ROW` | `SIM_SEED=31 (LateOnce) goes on: disarmed, Some(Overruns)` |
+//! | a law without an answer disarms | `failures` | `cause:` | the third failure in `Supervisor::response` | `SIM_SEED=19 (NoAnswer) cause: Some(Lost), must be one of [Solver]` |
 //! | a standstill of the loop disarms | `hang` | `brake:` | `Hold::Standstill` | `SIM_SEED=28 (Hang) brake: the law goes on for 110 ms` |
 //! | so does a suspended machine | | `brake:` | `Situation::suspended` | `SIM_SEED=29 (Suspend) brake: the law goes on for 133 ms` |
 //! | and a clock that goes back | | `cause:` | `Hold::Clock` | `SIM_SEED=30 (ClockBack) cause: Some(Standstill), must be one of [Clock]` |
-//! | the robot stands 100 ms after the last command | `hang` | `rest:`, `dead man:` | `TwistCommand::in_force` | LINE-dead |
-//! | an arm that waited is refused | | `late requests:` | `cycle::is_late` | LINE-late |
+//! | the robot stands 100 ms after the last command | `hang` | `rest:`, `dead man:` | `TwistCommand::in_force` | `SIM_SEED=26 (Crash) dead man: it moves 2 ms after the end of the last command` |
+//! | an arm that waited is refused | | `late requests:` | `cycle::is_late` | `SIM_SEED=28 (Hang) late requests: Some(Done)` |
 //! | a crash begins disarmed | `consent` | `restart:` | `Supervisor::begin_disarmed` | `SIM_SEED=26 (Crash) restart: holding (Some(Stale))` |
 //! | an armed start waits 5 s | `consent` | `unasked:` | `Supervisor::has_waited` | `SIM_SEED=46 (ArmedAlone) unasked: it moves` |
 //! | a loop of `arm` does not undo a stop | `consent` | `consent:` | the name in `Supervisor::arm` | `SIM_SEED=38 (StopAgainstArm) consent: armed by the name of stop 0, the last is 1` |
-//! | after a reload the stops are the same | | `stops:` | `Supervisor::begin_again` | LINE-again |
-//! | a stop is zero in its cycle | `stop`, `hands`, `daemon process` | `stop:` | `Action::Stop` | LINE-stop |
+//! | after a reload the stops are the same | | `stops:` | `Supervisor::begin_again` | `SIM_SEED=35 (Reload) stops: 2 came, 1 are told` |
+//! | a stop is zero in its cycle | `stop`, `hands`, `daemon process` | `stop:` | `Action::Stop` | `SIM_SEED=36 (Stop) stop: another command in its cycle: Some(Braking)` |
 //! | so is any hand on the stop file | `hands` | `stop:` | the file's place in `StopFile::is_asked` | `SIM_SEED=541 (StopFile) stop: none after 114 ms` |
-//! | a disarm brakes | `daemon process` | `unasked:` | `Action::Disarm` | LINE-disarm |
+//! | and no arm counts before that zero | | `stop:` | `is_stopped` in `Supervisor::arm` | `SIM_SEED=86 (Stop) stop: another command in its cycle: Some(Moving)` |
+//! | a disarm brakes | `daemon process` | `unasked:` | `Action::Disarm` | `SIM_SEED=42 (Disarm) unasked: it goes on after a disarm` |
 //! | SIGTERM brakes, then zero | `shutdown` | `end:` | `Hold::Shutdown` | `SIM_SEED=34 (Terminate) end: the last word is a jump to zero` |
-//! | nothing moves before a robot is heard | `daemon process` | `no robot:` | `Hold::NoRobot` | LINE-unheard |
+//! | nothing moves before a robot is heard | `daemon process` | `no robot:` | `Hold::NoRobot` | `SIM_SEED=25 (RobotUnheard) no robot: arm is answered Some(Done)` |
 //! | a silent robot disarms | `daemon process` | `brake:` | `Hold::RobotLost` | `SIM_SEED=20 (RobotSilent) brake: the law goes on for 425 ms` |
 //! | a faulty robot is a stop | `daemon process` | `brake:` | `Hold::RobotFault` | `SIM_SEED=22 (RobotFault) brake: the law goes on for 122 ms` |
-//! | one that does something else disarms | `daemon process` | `brake:` | `Hold::NotFollowed` | LINE-strays |
+//! | one that does something else disarms | `daemon process` | `brake:` | `Hold::NotFollowed` | `SIM_SEED=23 (RobotStrays) brake: the law goes on for 411 ms` |
 //! | a blocked arm disarms | `follow` | `disarm:` | `Follow::add` | `SIM_SEED=24 (RobotBlocked) end: none after a minute` |
-//! | a silent policy brakes | `guardian` | `guardian:` | the end of a wish in `ControlStep::want` | LINE-wish |
-//! | a replay repeats the records | `guardian` | `replay:` | what a request names, in `replay` | LINE-replay |
-//! | a rehearsal changes nothing | | same hash | `predicted` in `ControlStep::restore` | LINE-rehearse |
+//! | a silent policy brakes | `guardian` | `guardian:` | the end of a wish in `ControlStep::want` | `SIM_SEED=47 (Guardian) guardian: it moves 506 ms after the program` |
+//! | a replay repeats the records | `guardian` | `replay:` | what a request names, in `replay` | `SIM_SEED=48 (Storm) replay: cycle 54: reply.seen differs` |
+//! | a rehearsal changes nothing | | same hash | `standing` in `ControlStep::restore` | `a rehearsal changes it` |
 
 mod camera;
 mod daemon;

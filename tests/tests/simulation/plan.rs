@@ -130,6 +130,11 @@ impl<'s> Plan<'s> {
         (plan, random)
     }
 
+    /// Whether the scene limits the acceleration.
+    pub fn is_limited(&self) -> bool {
+        self.scene.limits.acceleration()[0].is_finite()
+    }
+
     /// Time of a brake from the limits to zero, in whole cycles, ns.
     pub fn brake_ns(&self) -> u64 {
         let rules = self.rules();

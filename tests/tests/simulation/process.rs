@@ -23,6 +23,9 @@ impl World<'_> {
         self.tell(|| format!("vpcd starts: {begin:?}"));
         self.process += 1;
         self.shutdown = false;
+        if let (true, Some(domain)) = (self.left != Left::Nothing, &mut self.domain) {
+            domain.open_again();
+        }
         let daemon = Daemon::new(&self.plan, begin, self.now_ns, self.suspended_ns);
         self.recorder.state(&daemon, self.now_ns);
         let release_ns = daemon.release_ns();
@@ -101,6 +104,7 @@ impl World<'_> {
         }
         self.hash.write_u32(command.state);
         self.hash.write_u32(Hold::number(decision.hold));
+        self.hash.write_u32(cycle.record.predicted);
         self.tell(|| {
             let speed = command
                 .twist

@@ -172,7 +172,7 @@ impl Judge {
         let leads_to_motion = matches!(action, Some(Action::Arm | Action::Strategy));
         let is_late = outcome == Some(Outcome::Late);
         self.check(is_late == (leads_to_motion && age_ns > most_ns), || {
-            format!("late requests: {reply:?} after {} ms", age_ns / 1_000_000)
+            format!("late requests: {outcome:?} after {} ms", age_ns / 1_000_000)
         });
         match (action, outcome) {
             (Some(Action::Arm), Some(Outcome::Done)) => self.armed(request),
@@ -241,7 +241,7 @@ impl Judge {
     fn step(&mut self, cycle: &Cycle, command: &TwistCommand, facts: Facts, has_stopped: bool) {
         let Some((before_ns, before)) = self.before else {
             self.check(command.twist == [0.0; 6], || {
-                format!("start: the first command moves: {command:?}")
+                format!("start: the first command moves by {:?}", command.twist)
             });
             return;
         };
@@ -251,12 +251,14 @@ impl Judge {
         if may_jump && command.twist == [0.0; 6] {
             return;
         }
-        let changes = std::iter::zip(command.twist, before.twist);
-        let changes: [f64; 6] = to_array(changes.map(|(v, before)| (v - before).abs()));
+        let changes: [f64; 6] = std::array::from_fn(|k| (command.twist[k] - before.twist[k]).abs());
         let each = std::iter::zip(changes, self.rules.change);
         let steep = each.map(|(change, most)| change / most).fold(0.0, f64::max);
         self.check(steep <= 1.0 + ROUNDING, || {
-            format!("steps: {steep} of what is allowed, to {command:?}")
+            format!(
+                "steps: {steep:.3} of what is allowed, to {:?}",
+                command.twist
+            )
         });
         let each = std::iter::zip(changes, self.rules.limits);
         self.steepest = each.map(|(c, most)| c / most).fold(self.steepest, f64::max);
@@ -281,9 +283,11 @@ impl Judge {
         let brakes = matches!(command.state(), Some(TwistState::Braking));
         match self.consent {
             Consent::Given => (),
-            Consent::None => self.check(is_still, || format!("unasked: it moves: {command:?}")),
+            Consent::None => self.check(is_still, || {
+                format!("unasked: it moves by {:?}", command.twist)
+            }),
             Consent::Ending => self.check(is_still || brakes, || {
-                format!("unasked: it goes on after a disarm: {command:?}")
+                format!("unasked: it goes on after a disarm by {:?}", command.twist)
             }),
         }
     }
@@ -295,7 +299,9 @@ impl Judge {
             .is_none_or(|(_, before)| before.twist == [0.0; 6]);
         self.check(rests, || "end: the last word is a jump to zero".to_owned());
         let is_zero = command.twist == [0.0; 6] && command.state() == Some(TwistState::Stopped);
-        self.check(is_zero, || format!("end: the last word is {command:?}"));
+        self.check(is_zero, || {
+            format!("end: the last word is {:?}", command.twist)
+        });
     }
 
     /// The robot carries this out from `now_ns` on; `newest` is the newest command that came to it.
@@ -329,10 +335,4 @@ impl Judge {
             share => most.max(share),
         })
     }
-}
-
-fn to_array(values: impl Iterator<Item = f64>) -> [f64; 6] {
-    let mut array = [0.0; 6];
-    array.iter_mut().zip(values).for_each(|(to, v)| *to = v);
-    array
 }

@@ -72,6 +72,12 @@ impl Domain {
         }
     }
 
+    /// Another process opens it.
+    pub fn open_again(&mut self) {
+        self.file = StopFile::open(&self.domain()).unwrap();
+        self.is_stopping = false;
+    }
+
     fn domain(&self) -> PathBuf {
         self.directory.path().join("domain")
     }

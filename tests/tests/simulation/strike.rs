@@ -73,7 +73,12 @@ impl World<'_> {
                     self.queue.at(at_ns, Event::Recover);
                 }
             }
-            Fault::Stop | Fault::StopTwice => self.ask_stop(),
+            Fault::Stop => {
+                self.ask_stop();
+                // In the same cycle somebody arms by the name that this stop will have.
+                self.operators[2].ask(Request::arm(0, 1), now_ns);
+            }
+            Fault::StopTwice => self.ask_stop(),
             Fault::StopAgainstArm if self.random.random_bool(0.5) => self.ask_stop(),
             Fault::StopInFlood => {
                 self.flood();
@@ -85,7 +90,8 @@ impl World<'_> {
                 self.queue.at(at_ns, Event::Recover);
             }
             Fault::StopFile | Fault::StopAgainstArm => {
-                let must_be_usable = fault == Fault::StopAgainstArm || self.trial.strikes == 2;
+                let may_be_lost = self.plan.fault == Fault::StopFile && self.trial.strikes == 1;
+                let must_be_usable = !may_be_lost;
                 self.change_stop_file(must_be_usable);
             }
             Fault::Disarm => self.operators[1].ask(Request::new(0, Action::Disarm), now_ns),
@@ -113,8 +119,12 @@ impl World<'_> {
 
     fn ask_stop(&mut self) {
         self.operators[1].ask(Request::new(0, Action::Stop), self.now_ns);
-        // A promise of a loop that runs and can send.
-        if self.late.0 == 0 && self.unsent == 0 {
+        self.expect_stop();
+    }
+
+    /// A stop was asked for: a loop that runs and can send obeys it in time.
+    fn expect_stop(&mut self) {
+        if self.daemon.is_some() && self.late.0 == 0 && self.unsent == 0 {
             let asked_ns = self.now_ns.max(self.hung_until_ns);
             self.judge.stop_asked(asked_ns);
         }
@@ -132,14 +142,17 @@ impl World<'_> {
             return;
         };
         self.trial.can_arm = domain.change(must_be_usable, &mut self.random);
-        self.judge.stop_asked(self.now_ns);
+        self.expect_stop();
     }
 
     fn crash(&mut self) {
         self.kill();
-        self.trial.stage = Stage::Gone;
         let start_ns = self.now_ns + self.between(100 * MS, SECOND);
         self.queue.at(start_ns, Event::Start);
+        if self.trial.stage == Stage::Storm {
+            return;
+        }
+        self.trial.stage = Stage::Gone;
         self.queue.at(start_ns + FORGOTTEN_NS, Event::Turn);
     }
 
@@ -175,12 +188,10 @@ impl World<'_> {
                 | Fault::ArmedStart
                 | Fault::ArmedAlone
                 | Fault::RobotUnheard
-                | Fault::Crash
                 | Fault::CrashDisarmed
                 | Fault::Terminate
                 | Fault::Reload
                 | Fault::StopInBrake
-                | Fault::StopFile
                 | Fault::StopAgainstArm
         );
         // Records of a clock that goes back have no order.

@@ -119,7 +119,7 @@ impl<'s> World<'s> {
         let is_guarded = plan.fault == Fault::Guardian;
         let has_file = matches!(
             plan.fault,
-            Fault::StopFile | Fault::Reload | Fault::StopAgainstArm
+            Fault::StopFile | Fault::Reload | Fault::StopAgainstArm | Fault::Storm
         );
         Self {
             now_ns: BEGIN_NS,
@@ -177,6 +177,11 @@ impl<'s> World<'s> {
             let failed = |error: String| self.judge.fail(|| format!("replay: {error}"));
             replayed.unwrap_or_else(failed);
         }
+        let times = self.trial.figures;
+        let [zero_ns, limited_ns] = match self.plan.is_limited() {
+            true => [0, times.zero_ns],
+            false => [times.zero_ns, 0],
+        };
         Found {
             fault: self.plan.fault,
             hash: self.hash.finish(),
@@ -185,7 +190,9 @@ impl<'s> World<'s> {
             figures: Figures {
                 steepest: self.judge.steepest,
                 stop_ns: self.judge.stop_ns,
-                ..self.trial.figures
+                zero_ns,
+                limited_ns,
+                ..times
             },
             broken: self.judge.broken,
         }
