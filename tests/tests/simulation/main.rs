@@ -45,7 +45,7 @@
 //! | an armed start waits 5 s | `consent` | `unasked:` | `Supervisor::has_waited` | `SIM_SEED=46 (ArmedAlone) unasked: it moves` |
 //! | a loop of `arm` does not undo a stop | `consent` | `consent:` | the name in `Supervisor::arm` | `SIM_SEED=38 (StopAgainstArm) consent: armed by the name of stop 0, the last is 1` |
 //! | after a reload the stops are the same | | `stops:` | `Supervisor::begin_again` | `SIM_SEED=35 (Reload) stops: 2 came, 1 are told` |
-//! | a stop is zero in its cycle | `stop`, `hands`, `daemon process` | `stop:` | `Action::Stop` | `SIM_SEED=36 (Stop) stop: another command in its cycle: Some(Braking)` |
+//! | a stop is zero in its cycle | `stop`, `hands`, `daemon process` | `stop:` | `Action::Stop` | `SIM_SEED=36 (Stop) stop: another command in its cycle` |
 //! | so is any hand on the stop file | `hands` | `stop:` | the file's place in `StopFile::is_asked` | `SIM_SEED=541 (StopFile) stop: none after 114 ms` |
 //! | and no arm counts before that zero | | `stop:` | `is_stopped` in `Supervisor::arm` | `SIM_SEED=86 (Stop) stop: another command in its cycle: Some(Moving)` |
 //! | a disarm brakes | `daemon process` | `unasked:` | `Action::Disarm` | `SIM_SEED=42 (Disarm) unasked: it goes on after a disarm` |
