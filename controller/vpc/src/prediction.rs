@@ -273,7 +273,8 @@ impl InitialState {
         let points = out.iter_mut().zip(wanted).enumerate();
         for (i, (out, _)) in points.filter(|(_, (_, wanted))| **wanted) {
             *out = match (&self.geometry, self.points.get(i), ends.get(i)) {
-                (Geometry::Positions(points), ..) if let Some(x) = points.get(i) => {
+                (Geometry::Positions(points), ..) => {
+                    let Some(x) = points.get(i) else { continue };
                     let x = motion.apply(x);
                     if x.z <= 1e-6 {
                         return false;

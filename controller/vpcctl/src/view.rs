@@ -239,20 +239,19 @@ impl View {
     /// and is no more, since when. `None` if the twist is sent.
     pub fn cause_words(&self, now_ns: u64) -> Option<String> {
         let hold = self.latest()?.hold()?;
-        match (hold, self.camera_silence_ns(now_ns)) {
-            (Hold::Stale | Hold::Lost | Hold::NoFeatures, Some(age)) => {
-                Some(format!("camera silent for {}", duration(age)))
-            }
-            (Hold::NoWay, _) if let Some(bound) = self.bound() => Some(format!("{hold}: {bound}")),
-            (Hold::NoJoints, _) if let Some(arm) = &self.arm => {
+        let words = match hold {
+            Hold::Stale | Hold::Lost | Hold::NoFeatures => self
+                .camera_silence_ns(now_ns)
+                .map(|age| format!("camera silent for {}", duration(age))),
+            Hold::NoWay => self.bound().map(|bound| format!("{hold}: {bound}")),
+            Hold::NoJoints => self.arm.as_ref().map(|arm| {
                 let told = self.robot_at(now_ns).map_or(0, |robot| robot.joints);
                 let joints = arm.joints.len();
-                Some(format!(
-                    "{hold}: the robot tells {told}, the scene's arm has {joints}"
-                ))
-            }
-            _ => Some(hold.to_string()),
-        }
+                format!("{hold}: the robot tells {told}, the scene's arm has {joints}")
+            }),
+            _ => None,
+        };
+        Some(words.unwrap_or_else(|| hold.to_string()))
     }
 
     /// Age of the newest cycle, ns.
