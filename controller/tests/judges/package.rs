@@ -111,6 +111,7 @@ fn in_path(program: &str) -> Option<PathBuf> {
 }
 
 #[test]
+#[ignore = "long: builds and installs the Debian package"]
 fn a_debian_installs_starts_upgrades_removes_and_purges_it() {
     let Some(package) = Package::build("the package") else {
         return;

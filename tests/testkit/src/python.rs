@@ -44,9 +44,6 @@ impl Environment {
         packages: &[],
     };
 
-    /// The same.
-    pub const CLIENT: Self = Self::JUDGES;
-
     /// The interpreter. `None`, after [`not_run`], where the machine has no Python 3.11 or no
     /// network.
     pub fn python(&self, test: &str) -> Option<PathBuf> {

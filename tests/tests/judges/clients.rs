@@ -82,7 +82,7 @@ fn stand_in(python: &Path, place: &Place, starts: usize) -> Vec<Outcome> {
 
 #[test]
 fn the_camera_in_python_comes_to_what_the_table_comes_to() {
-    let Some(python) = Environment::CLIENT.python("the camera in Python") else {
+    let Some(python) = Environment::JUDGES.python("the camera in Python") else {
         return;
     };
     let starts = repeats("starts of the camera in Python", 12, 100);
@@ -162,7 +162,7 @@ fn camera_of_the_readme(heading: &str, place: &Place) -> PathBuf {
 
 #[test]
 fn the_simulated_camera_of_the_readme_runs_as_written() {
-    let Some(python) = Environment::CLIENT.python("the simulated camera of the README") else {
+    let Some(python) = Environment::JUDGES.python("the simulated camera of the README") else {
         return;
     };
     let place = Place::new();
@@ -181,7 +181,7 @@ fn the_simulated_camera_of_the_readme_runs_as_written() {
 
 #[test]
 fn the_readmes_real_time_camera_arrives() {
-    let Some(python) = Environment::CLIENT.python("the camera in real time of the README") else {
+    let Some(python) = Environment::JUDGES.python("the camera in real time of the README") else {
         return;
     };
     let heading = "## A camera in real time";

@@ -109,14 +109,8 @@ fn askew() -> Place {
 }
 
 #[test]
-#[ignore = "installs Pinocchio: CI runs it in a line of its own"]
 fn camera_and_jacobian_of_every_arm_file_are_those_of_pinocchio() {
-    let environment = Environment {
-        name: "python-pinocchio",
-        requirements: &[],
-        packages: &["pin==4.1.0", "numpy==2.4.6"],
-    };
-    let Some(python) = environment.python("Pinocchio as a judge") else {
+    let Some(python) = Environment::JUDGES.python("Pinocchio as a judge") else {
         return;
     };
     let (shipped, tested) = (root().join("ipc/scene/scenes"), root().join("tests/arms"));
@@ -187,14 +181,8 @@ fn boxed(file: &Path) -> Place {
 type Distances = BTreeMap<String, f64>;
 
 #[test]
-#[ignore = "installs coal: CI runs it in a line of its own"]
 fn distances_of_links_and_boxes_are_those_of_coal() {
-    let environment = Environment {
-        name: "python-coal",
-        requirements: &[],
-        packages: &["pin==4.1.0", "coal==3.0.3", "numpy==2.4.6"],
-    };
-    let Some(python) = environment.python("coal as a judge") else {
+    let Some(python) = Environment::JUDGES.python("coal as a judge") else {
         return;
     };
     let mut random = ChaCha8Rng::seed_from_u64(35);
@@ -294,7 +282,6 @@ struct Reading {
 /// `franka/captured-data/pose_00/data.json` and so on, which github.com/kvasios/franka-handeye
 /// publishes.
 #[test]
-#[ignore = "needs VPC_REAL: CI runs it in a line of its own"]
 fn a_real_panda_is_where_the_arm_file_has_it() {
     let what = "readings of a real Panda";
     let Some(place) = real(what, "franka/captured-data") else {

@@ -81,7 +81,6 @@ fn judged(folder: &Path, tags: &str, flags: &[&str]) -> Vec<Found> {
 }
 
 #[test]
-#[ignore = "needs VPC_REAL: CI runs it in a line of its own"]
 fn a_moving_cameras_tags_are_found_as_often_as_by_apriltag_3_and_as_exactly() {
     let Some(folder) = real("pictures of a moving camera", "rbt") else {
         return;
@@ -110,7 +109,6 @@ fn a_moving_cameras_tags_are_found_as_often_as_by_apriltag_3_and_as_exactly() {
 }
 
 #[test]
-#[ignore = "builds an example: CI runs it in a line of its own"]
 fn tags_of_every_family_are_found_as_often_as_by_opencv_and_as_exactly() {
     for name in testkit::FAMILIES {
         let place = Place::new();
@@ -182,7 +180,6 @@ fn published(path: &Path, is_row_first: bool) -> Centres {
 }
 
 #[test]
-#[ignore = "needs VPC_REAL: CI runs it in a line of its own"]
 fn tags_are_where_published_corners_have_them() {
     let Some(folder) = real("pictures with published corners", "tags") else {
         return;

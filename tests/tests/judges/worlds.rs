@@ -114,13 +114,13 @@ fn arrives(world: &str, arm: &str) {
 }
 
 #[test]
-#[ignore = "installs PyBullet: CI runs it in a line of its own"]
+#[ignore = "long: fifty runs in PyBullet"]
 fn the_panda_of_pybullet_arrives() {
     arrives("pybullet", "panda");
 }
 
 #[test]
-#[ignore = "installs MuJoCo: CI runs it in a line of its own"]
+#[ignore = "long: fifty runs in MuJoCo"]
 fn the_fr3_of_mujoco_arrives() {
     let load = "import ctypes; ctypes.CDLL('libEGL.so.1')";
     if python::run(testkit::command("python3").args(["-c", load])).is_err() {

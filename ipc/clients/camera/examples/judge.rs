@@ -151,16 +151,7 @@ fn ours(arguments: &Arguments) -> anyhow::Result<Found> {
 }
 
 fn others(folder: &Path, family: Family) -> anyhow::Result<Vec<Found>> {
-    let environment = Environment {
-        name: "python-detectors",
-        requirements: &[],
-        packages: &[
-            "pupil-apriltags==1.0.4.post11",
-            "opencv-python-headless==4.10.0.84",
-            "numpy==2.4.6",
-        ],
-    };
-    let Some(python) = environment.python("other detectors") else {
+    let Some(python) = Environment::JUDGES.python("other detectors") else {
         return Ok(Vec::new());
     };
     let program = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/judge.py");

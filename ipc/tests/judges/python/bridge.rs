@@ -373,7 +373,7 @@ fn refusals(python: &Path) {
 #[test]
 fn the_bridge_in_python_drives_robots_within_limits() {
     if let Some(python) =
-        Environment::CLIENT.python("the_bridge_in_python_drives_robots_within_limits")
+        Environment::JUDGES.python("the_bridge_in_python_drives_robots_within_limits")
     {
         refusals(&python);
         robust(&python);

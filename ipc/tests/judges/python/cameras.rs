@@ -135,7 +135,7 @@ fn refusals(python: &Path) {
 #[test]
 fn the_cameras_in_python_tell_when_an_image_was_exposed() {
     if let Some(python) =
-        Environment::CLIENT.python("the_cameras_in_python_tell_when_an_image_was_exposed")
+        Environment::JUDGES.python("the_cameras_in_python_tell_when_an_image_was_exposed")
     {
         refusals(&python);
         let realsense = [

@@ -629,7 +629,7 @@ fn the_package_installs(python: &Path) {
 
 #[test]
 fn the_client_in_python_agrees() {
-    if let Some(python) = Environment::CLIENT.python("the_client_in_python_agrees") {
+    if let Some(python) = Environment::JUDGES.python("the_client_in_python_agrees") {
         layouts_agree(&python);
         messages_go_both_ways(&python);
         safety_agrees(&python);
@@ -642,7 +642,7 @@ fn the_client_in_python_agrees() {
 #[test]
 fn the_client_in_python_refuses_what_breaks_the_contract() {
     if let Some(python) =
-        Environment::CLIENT.python("the_client_in_python_refuses_what_breaks_the_contract")
+        Environment::JUDGES.python("the_client_in_python_refuses_what_breaks_the_contract")
     {
         refusals_have_words(&python);
         bad_messages_are_refused(&python);
@@ -651,7 +651,7 @@ fn the_client_in_python_refuses_what_breaks_the_contract() {
 
 #[test]
 fn the_logger_in_python_fills_tables() {
-    if let Some(python) = Environment::CLIENT.python("the_logger_in_python_fills_tables") {
+    if let Some(python) = Environment::JUDGES.python("the_logger_in_python_fills_tables") {
         the_logger_fills_tables(&python, "csv");
         the_logger_fills_tables(&python, "parquet");
     }
@@ -659,7 +659,7 @@ fn the_logger_in_python_fills_tables() {
 
 #[test]
 fn the_package_of_the_client_installs() {
-    if let Some(python) = Environment::CLIENT.python("the_package_of_the_client_installs") {
+    if let Some(python) = Environment::JUDGES.python("the_package_of_the_client_installs") {
         the_package_installs(&python);
     }
 }

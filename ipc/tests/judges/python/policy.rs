@@ -58,7 +58,7 @@ fn event(value: i16, kind: u8, number: u8) -> [u8; 8] {
 
 #[test]
 fn a_policy_in_python_says_what_it_wants() {
-    let Some(python) = Environment::CLIENT.python("a_policy_in_python_says_what_it_wants") else {
+    let Some(python) = Environment::JUDGES.python("a_policy_in_python_says_what_it_wants") else {
         return;
     };
     let place = Place::new();
