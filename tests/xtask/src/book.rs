@@ -81,6 +81,10 @@ const PARTS: &[(&str, &[(&str, &str)])] = &[
         "Reference",
         &[
             ("Configuration", "controller/CONFIGURATION.md"),
+            (
+                "Configuration of the clients",
+                "ipc/clients/CONFIGURATION.md",
+            ),
             ("The contract", "ipc/CONTRACT.md"),
             ("Scene files", "ipc/scene/README.md"),
             ("The memory of motion", "memory-blob/README.md"),
