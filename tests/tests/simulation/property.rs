@@ -294,6 +294,8 @@ impl Judge {
 
     /// The command with which a process ends in order.
     pub fn last_word(&mut self, command: &TwistCommand) {
+        // It answers a stop that came too late for a cycle.
+        self.stop_asked_ns = None;
         let rests = self
             .before
             .is_none_or(|(_, before)| before.twist == [0.0; 6]);
