@@ -122,14 +122,10 @@ impl Camera {
                 features.points = good.points;
                 noisy(&mut features, self.noise_px, random);
             }
-            Fault::OtherAfterHidden | Fault::OtherAfterRestart => {
-                if is_first {
-                    if fault == Fault::OtherAfterRestart {
-                        self.sequence = 0;
-                        return None;
-                    }
-                    features.visible = 0b1011;
-                }
+            Fault::OtherAfterHidden if is_first => features.visible = 0b1011,
+            Fault::OtherAfterRestart if is_first => {
+                self.sequence = 0;
+                return None;
             }
             Fault::Silence | Fault::Replaced => return None,
             Fault::Pause if now_ns < since_ns + LATE_NS => return None,

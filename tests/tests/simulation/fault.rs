@@ -67,7 +67,7 @@ pub enum Fault {
     /// It dies: it says nothing more, and stands.
     RobotDead,
     /// It stops by itself, and says so.
-    RobotFault,
+    RobotReflex,
     /// It says that it carries out something else than it is told.
     RobotStrays,
     /// It stands, and says that it carries out what it is told.
@@ -155,7 +155,7 @@ pub const ALL: [Fault; 50] = [
     Fault::NoAnswer,
     Fault::RobotSilent,
     Fault::RobotDead,
-    Fault::RobotFault,
+    Fault::RobotReflex,
     Fault::RobotStrays,
     Fault::RobotBlocked,
     Fault::RobotUnheard,
@@ -239,7 +239,7 @@ impl Fault {
             Self::NoAnswer => brakes(&[Solver], 0),
             Self::Future | Self::ClockBack => at_once(&[Clock]),
             Self::RobotSilent | Self::RobotDead => brakes(&[RobotLost], LOST_NS),
-            Self::RobotFault => at_once(&[RobotFault]),
+            Self::RobotReflex => at_once(&[RobotFault]),
             Self::RobotStrays => brakes(&[NotFollowed], LOST_NS),
             Self::RobotBlocked => brakes(&[NotFollowing], NOTICED_NS),
             Self::Hang | Self::Suspend => at_once(&[Standstill]),

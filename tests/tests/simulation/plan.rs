@@ -124,7 +124,7 @@ impl<'s> Plan<'s> {
                 _ => stock.starts[random.random_range(0..stock.starts.len())],
             },
             latency_ns: random.random_range(0..PERIOD_NS),
-            is_recorded: seed / ALL.len() as u64 % 8 == 0,
+            is_recorded: (seed / ALL.len() as u64).is_multiple_of(8),
             rehearses: seed / ALL.len() as u64 % 8 == 1,
         };
         (plan, random)

@@ -45,7 +45,7 @@ impl Robot {
         let command = self.command.unwrap_or_default();
         let told = command.in_force(now_ns);
         self.twist = match self.fault {
-            Some(Fault::RobotDead | Fault::RobotFault | Fault::RobotBlocked) => [0.0; 6],
+            Some(Fault::RobotDead | Fault::RobotReflex | Fault::RobotBlocked) => [0.0; 6],
             _ => told,
         };
     }
@@ -59,7 +59,7 @@ impl Robot {
         let mut state = RobotState::free_camera([0.0, 0.0, 0.5], [0.0; 3], now_ns);
         self.sequence += 1;
         (state.stamp.sequence, state.stamp.published_ns) = (self.sequence, now_ns);
-        let is_fault = self.fault == Some(Fault::RobotFault);
+        let is_fault = self.fault == Some(Fault::RobotReflex);
         let mode = match self.command {
             _ if is_fault => RobotMode::Fault,
             None => RobotMode::Idle,

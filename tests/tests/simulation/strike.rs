@@ -34,10 +34,10 @@ impl World<'_> {
         match fault {
             Fault::RobotSilent
             | Fault::RobotDead
-            | Fault::RobotFault
+            | Fault::RobotReflex
             | Fault::RobotStrays
             | Fault::RobotBlocked => {
-                self.trial.is_grave = fault == Fault::RobotFault;
+                self.trial.is_grave = fault == Fault::RobotReflex;
                 self.robot.fail(fault);
             }
             Fault::Crash | Fault::CrashDisarmed => self.crash(),

@@ -107,7 +107,7 @@ impl<'s> World<'s> {
     /// The run of this seed.
     pub fn run(stock: &'s Stock, seed: u64, is_told: bool) -> Found {
         let (plan, random) = Plan::new(stock, seed);
-        Self::of(plan, random, is_told).to_the_end()
+        Self::of(plan, random, is_told).finished()
     }
 
     /// The world before anything happens.
@@ -158,7 +158,7 @@ impl<'s> World<'s> {
     }
 
     /// Everything until the trial is over or a property does not hold.
-    pub fn to_the_end(mut self) -> Found {
+    pub fn finished(mut self) -> Found {
         self.begin();
         while !self.trial.is_over() && self.judge.broken.is_none() {
             let Some((at_ns, event)) = self.queue.next() else {
