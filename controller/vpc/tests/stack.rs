@@ -111,6 +111,11 @@ impl MotionMemory for Goal {
     }
 }
 
+/// Makes a controller. The result that it is unwrapped from leaves the stack before it steps.
+fn made(scene: &Scene, settings: Settings, lend: impl FnOnce(usize) -> Vec<f64>) -> Law<Vec<f64>> {
+    Law::new(scene, settings, lend).unwrap()
+}
+
 /// Runs a controller in a thread of its own; returns the numbers of its workspace, and how many
 /// trajectories it asked for.
 fn run(scene: &Scene, settings: Settings) -> (usize, u32) {
@@ -124,7 +129,7 @@ fn run(scene: &Scene, settings: Settings) -> (usize, u32) {
             numbers = len;
             vec![f64::NAN; len]
         };
-        let mut law = Law::new(scene, settings, lend).unwrap();
+        let mut law = made(scene, settings, lend);
         let [x, y, z] = scene.goal.translation;
         let start = Pose {
             translation: [x + 0.1, y - 0.1, 1.2 * z],
