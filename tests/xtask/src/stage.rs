@@ -152,7 +152,14 @@ pub fn clients() -> anyhow::Result<()> {
 
 /// Programs, libraries and data of others judge ours.
 pub fn judges() -> anyhow::Result<()> {
-    in_both(&["test", "--workspace", "--locked", "--test", "judges"])
+    in_both(&[
+        "test",
+        "--workspace",
+        "--locked",
+        "--no-fail-fast",
+        "--test",
+        "judges",
+    ])
 }
 
 /// What takes long: installations, the Python module, the package, the book, and every test at full
