@@ -28,8 +28,9 @@ pub fn program(name: &str) -> PathBuf {
     path
 }
 
-/// Programs of the clients' workspace, `ipc/clients`, and the library for C.
-const CLIENTS: [(&str, &str); 5] = [
+/// Programs of the clients' workspace, `ipc/clients`, and the library for C, with their packages.
+const CLIENTS: [(&str, &str); 6] = [
+    ("examples/judge", "vpc-camera"),
     ("libvpcclient.so", "vpc-client-c"),
     ("vpc-calib", "vpc-calib"),
     ("vpc-camera", "vpc-camera"),
@@ -51,8 +52,13 @@ pub fn cargo_build(programs: &[&str]) -> Vec<Command> {
         Some(example) => ["--example", example],
         None => ["--bin", name],
     });
-    let clients = programs.iter().filter_map(|name| package(name));
-    let clients = clients.flat_map(|package| ["--package", package]);
+    let clients = programs
+        .iter()
+        .filter_map(|name| Some((name, package(name)?)));
+    let clients = clients.flat_map(|(name, package)| match name.strip_prefix("examples/") {
+        Some(example) => vec!["--package", package, "--example", example],
+        None => vec!["--package", package],
+    });
     let workspaces: [(_, Vec<&str>); 2] = [
         (root().to_owned(), own.collect()),
         (root().join("ipc/clients"), clients.collect()),

@@ -36,13 +36,13 @@ fn run(name: &str, command: &mut Command) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs cargo with these arguments in both workspaces.
+/// Runs cargo with these arguments in both workspaces, in the second also if the first fails.
 fn in_both(arguments: &[&str]) -> anyhow::Result<()> {
-    for workspace in WORKSPACES {
+    let outcomes = WORKSPACES.map(|workspace| {
         let name = format!("cargo {} in {workspace}", arguments.join(" "));
-        run(&name, &mut cargo(workspace, arguments))?;
-    }
-    Ok(())
+        run(&name, &mut cargo(workspace, arguments))
+    });
+    outcomes.into_iter().collect()
 }
 
 /// Format, lints, documentation, generated files, licences and sources of packages.
