@@ -277,6 +277,7 @@ fn judged(test: &str, interface: &str) -> Option<Seen> {
 }
 
 #[test]
+#[ignore = "long: runs in real time on another team's emulator"]
 fn another_teams_fr3_follows_joint_velocities_without_a_reflex() {
     let Some(seen) = judged("franka-sim, joint velocities", "joint") else {
         return;
@@ -290,6 +291,7 @@ fn another_teams_fr3_follows_joint_velocities_without_a_reflex() {
 }
 
 #[test]
+#[ignore = "long: runs in real time on another team's emulator"]
 fn another_teams_fr3_follows_without_a_reflex() {
     let Some(seen) = judged("franka-sim, Cartesian velocities", "cartesian") else {
         return;

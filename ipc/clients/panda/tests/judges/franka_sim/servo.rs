@@ -200,16 +200,19 @@ fn daemon(config: &Path, domain: &Path) -> Running {
 }
 
 #[test]
+#[ignore = "long: runs in real time on another team's emulator"]
 fn a_camera_on_another_teams_fr3_arrives() {
     arrives("a camera on franka-sim", Team::Franka, Pace::Paper);
 }
 
 #[test]
+#[ignore = "long: runs in real time on another team's emulator"]
 fn a_camera_on_another_teams_fr3_arrives_at_ten_times_the_speed() {
     arrives("a camera on franka-sim, 10 cm/s", Team::Franka, Pace::Fast);
 }
 
 #[test]
+#[ignore = "long: runs in real time on another team's emulator"]
 fn a_camera_on_a_third_teams_fr3_arrives_at_ten_times_the_speed() {
     arrives("a camera on franky-sim, 10 cm/s", Team::Franky, Pace::Fast);
 }
