@@ -86,7 +86,7 @@ impl Place {
     }
 }
 
-/// Sleeps for a random part of so many periods.
+/// Sleeps for a random part of this number of periods.
 pub fn some_time(periods: u64, random: &mut impl Rng) {
     let ns = random.random_range(0..periods * PERIOD_NS);
     std::thread::sleep(Duration::from_nanos(ns));

@@ -138,7 +138,7 @@ fn stop(domain: &Path) -> Ended {
     ended(vpcctl.args(["stop", "--timeout", "0.5"]))
 }
 
-/// A file system of its own, of so many KiB, until it is dropped.
+/// A file system of its own until it is dropped; its size is in KiB.
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {

@@ -199,7 +199,7 @@ fn scrape(address: &str, seen: &Seen, done: &AtomicBool) {
     }
 }
 
-/// Runs the daemon for so many cycles among onlookers.
+/// Runs the daemon for `cycles` cycles among onlookers.
 fn run(cycles: u64) -> (Laps, Seen) {
     let track = Track::new(RATE);
     let (domain, scene_file) = (track.place.domain(), &track.scene_file);

@@ -95,7 +95,7 @@ impl Track {
         START_UP_NS.div_ceil(self.period_ns)
     }
 
-    /// A daemon that ends by itself after so many cycles, the start-up not counted.
+    /// A daemon that ends by itself `cycles` cycles after the start-up.
     fn vpcd(&self, cycles: u64) -> Command {
         let realtime = match self.class == Class::Fifo && !is_without("realtime") {
             true => format!("[realtime]\npriority = {PRIORITY}\ncpu = {}\n", processor()),
@@ -123,7 +123,7 @@ impl Track {
         command
     }
 
-    /// Runs the daemon for so many cycles, the start-up not counted, and calls `beside` meanwhile.
+    /// Runs the daemon for `cycles` cycles after the start-up, and calls `beside` meanwhile.
     pub fn run<T>(&self, cycles: u64, beside: impl FnOnce() -> T) -> (Laps, T) {
         let patience = Duration::from_nanos((cycles + self.start_up()) * self.period_ns);
         let reference = Reference::start(&[self.class]);

@@ -54,7 +54,7 @@ pub enum Left {
     Nothing,
     /// It was killed.
     Killed,
-    /// It begins again, after so many stops.
+    /// It begins again; the number of stops before.
     Again(u32),
 }
 
