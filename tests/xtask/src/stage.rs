@@ -100,7 +100,10 @@ pub fn unprivileged() -> anyhow::Result<()> {
         let mut command = testkit::command("setpriv");
         command.args(["--reuid", "65534", "--regid", "65534", "--clear-groups"]);
         command.args(["--bounding-set", "-all", "--no-new-privs"]);
-        command.arg(program).current_dir(directory);
+        command.arg(program).current_dir(&directory);
+        // As cargo does; insta would ask cargo for the root.
+        command.env("CARGO_MANIFEST_DIR", &directory);
+        command.env("INSTA_WORKSPACE_ROOT", root());
         // Programs are built, in a directory that is not this user's.
         command
             .env("VPC_BUILT", "1")
