@@ -56,14 +56,7 @@ fn in_motion(round: usize, random: &mut impl Rng) -> anyhow::Result<u64> {
         some_time(1, random);
         daemon.signal(Signal::TERM);
     }
-    let ended_ns = ended(daemon, &mut witness);
-    Ok(in_time(
-        "ended",
-        Class::Ordinary,
-        asked_ns,
-        ended_ns,
-        BAR_NS,
-    )?)
+    ended_in_time(daemon, &mut witness, asked_ns)
 }
 
 fn at_rest() -> anyhow::Result<u64> {
@@ -73,7 +66,12 @@ fn at_rest() -> anyhow::Result<u64> {
     eventually("a command", || witness.observer.twist.latest().unwrap());
     let asked_ns = now_ns();
     daemon.signal(Signal::TERM);
-    let ended_ns = ended(daemon, &mut witness);
+    ended_in_time(daemon, &mut witness, asked_ns)
+}
+
+/// Judges how long it took from the signal at `asked_ns` to the end of the process, ns.
+fn ended_in_time(daemon: Running, witness: &mut Witness, asked_ns: u64) -> anyhow::Result<u64> {
+    let ended_ns = ended(daemon, witness);
     Ok(in_time(
         "ended",
         Class::Ordinary,

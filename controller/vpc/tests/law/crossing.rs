@@ -47,7 +47,7 @@ struct Run {
     refusals: Vec<Refusal>,
 }
 
-/// Runs until the arrival, for so many seconds at most.
+/// Runs until the arrival, `seconds` at most.
 fn run(scene: &Scene, number: usize, settings: Settings, seconds: f64) -> Run {
     let start = &starts()[number];
     let mut world = World::of(scene.clone(), start);
