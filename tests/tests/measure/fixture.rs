@@ -4,6 +4,7 @@
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
+pub use crate::limits::{assert_within_limits, is_still};
 use ipc::{Domain, Observer, OperatorPorts, now_ns};
 use messages::{Action, CycleRecord, Outcome, Request, TwistCommand, TwistState};
 use rand::{Rng, RngExt};
@@ -18,8 +19,6 @@ use crate::reference::Class;
 pub const PERIOD_NS: u64 = 33_333_333;
 /// SCHED_FIFO priority of cameras, which are instruments here; below the daemon's 60.
 pub const CAMERA_PRIORITY: i32 = 50;
-/// Largest magnitude of each component of the twist in the paper's scene, m/s and rad/s.
-pub const LIMITS: [f64; 6] = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
 
 /// The scheduling classes of a round in which `vpcd` and camera are in real time where they may be,
 /// and everybody else is ordinary.
@@ -251,26 +250,4 @@ impl Witness {
         }
         newest
     }
-}
-
-/// Whether a command asks for no motion.
-pub fn is_still(twist: &TwistCommand) -> bool {
-    twist.twist == [0.0; 6]
-}
-
-/// Largest component of a twist as a share of its limit; NaN is infinite.
-pub fn speed(twist: &[f64; 6]) -> f64 {
-    let shares = std::iter::zip(twist, LIMITS).map(|(v, limit)| v.abs() / limit);
-    shares.fold(0.0, |most, share| {
-        if share.is_nan() {
-            f64::INFINITY
-        } else {
-            most.max(share)
-        }
-    })
-}
-
-/// Asserts that no component of a command is beyond the limits of the paper's scene.
-pub fn assert_within_limits(twist: &TwistCommand) {
-    assert!(speed(&twist.twist) <= 1.0 + 1e-9, "{twist:?}");
 }

@@ -17,6 +17,8 @@
 mod camera;
 #[path = "../../../controller/tests/service/frozen.rs"]
 mod frozen;
+#[path = "../promises/limits.rs"]
+mod limits;
 #[path = "../../../controller/tests/judges/spin.rs"]
 mod spin;
 

@@ -18,6 +18,7 @@ mod foresight;
 mod goals;
 mod hostile;
 mod inputs;
+mod limits;
 #[path = "../measure/load.rs"]
 mod load;
 #[allow(dead_code, reason = "`measure` uses the rest")]
