@@ -49,14 +49,12 @@ fn recorder(place: &Place, stage: &mut Stage) -> Running {
     command.arg("--domain").arg(place.domain()).arg("record");
     command.arg(place.path(FILE)).stdout(Stdio::piped());
     let recorder = Running::start(command.stderr(Stdio::piped()));
-    let size = || std::fs::metadata(place.path(FILE)).map_or(0, |file| file.len());
-    eventually("a recorder", || {
-        (stage.publish().receivers > 0).then_some(())
-    });
-    let begun = size();
-    eventually("a flush", || {
+    // Also while the file has no head yet, or a half.
+    let has_both = |file: &Recording| !file.features.is_empty() && !file.cycles.is_empty();
+    eventually("a flush of both", || {
         stage.publish();
-        (size() > begun).then_some(())
+        let file = Recording::read(&place.path(FILE)).ok();
+        file.filter(has_both).map(|_| ())
     });
     recorder
 }
