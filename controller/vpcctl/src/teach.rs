@@ -26,6 +26,8 @@ use crate::units::seconds;
 
 /// Least images with the whole pattern.
 const IMAGES: usize = 10;
+/// How much longer a slow camera may take for them.
+const LONGER: Duration = Duration::from_secs(10);
 /// Greatest deviation of a coordinate, and greatest change of its mean from the first half of the
 /// images to the second, px: more is a camera that moves.
 const STILL_PX: f64 = 1.0;
@@ -214,16 +216,20 @@ fn report(new: &Scene, seen: &Seen, off_px: f64) -> String {
     text
 }
 
-/// Takes the images with the whole pattern.
+/// Takes the images with the whole pattern: those of `watch`, and of a slow camera as many as are
+/// needed.
 fn look(
     mut features: Subscriber<Features>,
     points: usize,
     watch: Duration,
     clock: &mut dyn Clock,
 ) -> Result<Seen, Failure> {
-    let end_ns = clock.now_ns().saturating_add(ns(watch));
+    let begin_ns = clock.now_ns();
+    let end_ns = begin_ns.saturating_add(ns(watch));
+    let latest_ns = end_ns.saturating_add(ns(LONGER));
     let (mut images, mut others) = (Vec::new(), 0);
-    while clock.now_ns() < end_ns {
+    let is_short = |images: &[_]| (1..IMAGES).contains(&images.len());
+    while clock.now_ns() < end_ns || (is_short(&images) && clock.now_ns() < latest_ns) {
         while let Some(message) = features.oldest()? {
             let whole = (1_u32 << points.min(MAX_POINTS)) - 1;
             match message.count as usize == points && message.visible & whole == whole {
@@ -233,14 +239,15 @@ fn look(
         }
         clock.pause(PAUSE);
     }
-    let seconds = watch.as_secs_f64();
+    let seconds = clock.now_ns().saturating_sub(begin_ns) as f64 * 1e-9;
     if images.is_empty() && others == 0 {
-        let message = format!("nothing on vpc/features within {seconds} s; is a camera at work?");
+        let message =
+            format!("nothing on vpc/features within {seconds:.1} s; is a camera at work?");
         return Err(Failure::new(Exit::NoAnswer, message));
     }
     if images.len() < IMAGES {
         let message = format!(
-            "{} images in {seconds} s show all {points} points, {others} do not; allowed: {IMAGES} at least",
+            "{} images in {seconds:.1} s show all {points} points, {others} do not; allowed: {IMAGES} at least",
             images.len()
         );
         return Err(Failure::new(Exit::Refused, message));
