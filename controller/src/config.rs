@@ -234,7 +234,6 @@ fn laid_over(
             stale_periods: tables.cycle.stale_periods,
             needs_robot,
             after_arrival: tables.safety.after_arrival,
-            on_loss: tables.safety.on_loss,
         },
         domain,
         margin_ns: (tables.cycle.margin_ms * 1e6) as u64,

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 
 use clap::error::ErrorKind;
 use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
-use decision::OnLoss;
 use hw_sim::motion::{HELP, Motion, MotionKeys};
 use hw_sim::robot::truth::Truth;
 use hw_sim::sensor::Flaws;
@@ -187,9 +186,6 @@ pub struct FreeFlags {
     /// Once, in the first two seconds, frames show no point for so long.
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     pub blackout_s: f64,
-    /// Go back along the camera's way where points are hidden for longer than `safety.blind_s`.
-    #[arg(long)]
-    pub retrace: bool,
 }
 
 impl FreeFlags {
@@ -201,14 +197,6 @@ impl FreeFlags {
         check("--gain", self.gain, 0.0, 10.0)?;
         check("--hide", self.hide, 0.0, 1.0)?;
         check("--blackout-s", self.blackout_s, 0.0, 60.0)
-    }
-
-    /// What the daemon does where points are hidden for too long.
-    pub fn on_loss(&self) -> OnLoss {
-        match self.retrace {
-            true => OnLoss::Retrace,
-            false => OnLoss::Hold,
-        }
     }
 
     /// What the run from this start goes through.

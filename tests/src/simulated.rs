@@ -2,7 +2,7 @@
 //! the daemon's loop runs, without its clock and ports.
 
 use decision::control::State;
-use decision::{ControlStep, Input, Inputs, OnLoss, Rules, Safety};
+use decision::{ControlStep, Input, Inputs, Rules, Safety};
 use memory_blob::MemoryFile;
 use messages::{ClockMode, CycleRecord, Features, RobotState};
 use scene::Scene;
@@ -29,25 +29,10 @@ impl<'m> Simulated<'m> {
         settings: Settings,
         clock: ClockMode,
     ) -> Result<Self, SettingsError> {
-        Self::with(scene, memory, settings, clock, OnLoss::default())
-    }
-
-    /// The same, which does this where points are hidden for too long.
-    ///
-    /// # Errors
-    /// If scene and settings give no task.
-    pub fn with(
-        scene: &Scene,
-        memory: Option<&'m MemoryFile>,
-        settings: Settings,
-        clock: ClockMode,
-        on_loss: OnLoss,
-    ) -> Result<Self, SettingsError> {
         // Nothing carries this camera, and as in the paper its run begins in motion.
         let safety = Safety {
             armed: true,
             needs_robot: false,
-            on_loss,
             ..Safety::default()
         };
         let mut rules = Rules::new(scene, &settings, &safety, clock);

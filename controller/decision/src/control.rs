@@ -12,16 +12,15 @@ use messages::{
 };
 use scene::Scene;
 use serde::{Deserialize, Serialize};
-use vpc::{Law, MotionMemory, Refusal, Settings, SettingsError, Step, Strategy, limit};
+use vpc::{Law, MotionMemory, Refusal, Settings, SettingsError, Step, Strategy};
 
 use crate::contract;
 use crate::decision::Decision;
 use crate::gate::{Gate, Link, Verdict};
 use crate::input::{Input, Inputs};
 use crate::law::{self, Bounds};
-use crate::retrace::Way;
 use crate::robot::RobotWatch;
-use crate::rules::{OnLoss, Rules, ns};
+use crate::rules::{Rules, ns};
 use crate::supervisor::{Situation, Supervisor};
 
 /// What a cycle is to send.
@@ -45,8 +44,6 @@ pub struct State {
     pub standing: Answer,
     /// Cycles in a row that the law answered by prediction.
     pub predicted: u32,
-    /// The way that the camera came.
-    pub way: Way,
     /// What another program wants.
     pub wish: Option<Wish>,
 }
@@ -71,7 +68,6 @@ pub struct ControlStep<'m> {
     supervisor: Supervisor,
     standing: Answer,
     predicted: u32,
-    way: Way,
     wish: Option<Wish>,
 }
 
@@ -105,7 +101,6 @@ impl<'m> ControlStep<'m> {
                 decision: Decision::hold(Hold::NoFeatures),
             },
             predicted: 0,
-            way: Way::default(),
             wish: None,
         })
     }
@@ -127,7 +122,6 @@ impl<'m> ControlStep<'m> {
             supervisor,
             standing,
             predicted,
-            way,
             wish,
         } = self;
         State {
@@ -137,7 +131,6 @@ impl<'m> ControlStep<'m> {
             supervisor: *supervisor,
             standing: *standing,
             predicted: *predicted,
-            way: *way,
             wish: *wish,
         }
     }
@@ -151,7 +144,6 @@ impl<'m> ControlStep<'m> {
         self.supervisor = state.supervisor;
         self.standing = state.standing;
         self.predicted = state.predicted;
-        self.way = state.way;
         self.wish = state.wish;
     }
 
@@ -266,14 +258,6 @@ impl<'m> ControlStep<'m> {
         if decision.state == TwistState::Disarmed && is_new_place {
             // Nothing moves before an operator has armed: the object may be anywhere.
             self.law.lose_sight();
-        }
-        if decision.state == TwistState::Disarmed {
-            self.way = Way::default();
-        } else {
-            // A prediction without a message shows nothing.
-            let has_answered = record.count > 0 && contract::solver_failed(record).is_some();
-            let period = self.law.task().period;
-            self.way.add(&decision.twist, period, has_answered);
         }
         // The twist as sent, also if the law did not choose it. The instant is that of the law's
         // plan, so that a replay needs no other clock.
@@ -437,32 +421,10 @@ impl<'m> ControlStep<'m> {
                     if blind_s < most_s {
                         self.gate.approve();
                     }
-                    if let Some(decision) = self.retrace() {
-                        return decision;
-                    }
                 }
                 Decision::hold(contract::hold_of(refusal))
             }
         }
-    }
-
-    /// The command that goes back along the way, where the rules say so and there is one.
-    fn retrace(&mut self) -> Option<Decision> {
-        let (state, _) = self.supervisor.state();
-        // It stops first: the motion until then belongs to the way.
-        let may_turn = self.way.went_back || self.supervisor.is_at_rest();
-        let goes_back = self.rules().on_loss == OnLoss::Retrace && may_turn;
-        if !goes_back || state == TwistState::Disarmed {
-            return None;
-        }
-        let task = self.law.task();
-        let twist = self.way.back(task.period)?;
-        Some(Decision {
-            twist: limit::approach(&twist, self.law.standing(), task, task.period),
-            elbow: 0.0,
-            state: TwistState::Moving,
-            hold: None,
-        })
     }
 
     /// What to command in a cycle of a moving camera without new features; `None`: the last command
@@ -472,11 +434,6 @@ impl<'m> ControlStep<'m> {
         let is_moving = matches!(state, TwistState::Moving | TwistState::Arrived);
         if !(is_moving && self.gate.is_live()) {
             return None;
-        }
-        if self.way.went_back {
-            // Nobody knows where the points are: it goes on back.
-            let hold = Decision::hold(Hold::Hidden);
-            return Some(self.retrace().unwrap_or(hold));
         }
         let step = self.law.coast(now_ns, motion(&self.memory))?;
         contract::record_step(&step, record);

@@ -14,7 +14,6 @@
 //! - [`gate`]: order and age of the features
 //! - [`robot`]: a robot that is at fault, silent, or not following
 //! - [`law`]: the last check of the law's twist
-//! - [`retrace`]: the way back after a loss of sight
 //! - [`supervisor`]: armed, braking, disarmed
 //! - [`control`]: the whole decision
 //! - [`snapshot`]: its state as bytes
@@ -29,7 +28,6 @@ pub mod decision;
 pub mod gate;
 pub mod input;
 pub mod law;
-pub mod retrace;
 pub mod robot;
 pub mod rules;
 pub mod snapshot;
@@ -38,4 +36,4 @@ pub mod supervisor;
 pub use control::{Answer, ControlStep};
 pub use decision::Decision;
 pub use input::{Input, Inputs};
-pub use rules::{AfterArrival, OnLoss, Rules, Safety};
+pub use rules::{AfterArrival, Rules, Safety};

@@ -152,7 +152,6 @@ mod tests {
             needs_robot: false,
             begins_armed: true,
             after_arrival: Default::default(),
-            on_loss: Default::default(),
         })
     }
 

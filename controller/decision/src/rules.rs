@@ -23,8 +23,6 @@ pub struct Safety {
     pub needs_robot: bool,
     /// What it does when it has arrived.
     pub after_arrival: AfterArrival,
-    /// What it does when points have been hidden for too long.
-    pub on_loss: OnLoss,
 }
 
 impl Default for Safety {
@@ -37,7 +35,6 @@ impl Default for Safety {
             stale_periods: 3.0,
             needs_robot: true,
             after_arrival: AfterArrival::Follow,
-            on_loss: OnLoss::Hold,
         }
     }
 }
@@ -52,16 +49,6 @@ pub enum AfterArrival {
     Hold,
     /// It disarms.
     Disarm,
-}
-
-/// What the controller does when points have been hidden for too long.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum OnLoss {
-    /// It brakes and stands.
-    #[default]
-    Hold,
-    /// It goes back along its own way, until it sees them or has come to where the way begins.
-    Retrace,
 }
 
 /// The rules of the supervisor and of the gate.
@@ -90,8 +77,6 @@ pub struct Rules {
     pub begins_armed: bool,
     /// What it does when it has arrived.
     pub after_arrival: AfterArrival,
-    /// What it does when points have been hidden for too long.
-    pub on_loss: OnLoss,
 }
 
 impl Rules {
@@ -114,7 +99,6 @@ impl Rules {
             needs_robot: safety.needs_robot,
             begins_armed: safety.armed,
             after_arrival: safety.after_arrival,
-            on_loss: safety.on_loss,
         }
     }
 

@@ -10,7 +10,7 @@ use messages::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 15;
+pub const VERSION: u32 = 16;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -68,7 +68,6 @@ mod tests {
     use crate::decision::Decision;
     use crate::gate::Gate;
     use crate::input::Input;
-    use crate::retrace::Way;
     use crate::robot::RobotWatch;
     use crate::rules::Rules;
     use crate::supervisor::{Situation, Supervisor};
@@ -104,7 +103,6 @@ mod tests {
             needs_robot: false,
             begins_armed: true,
             after_arrival: Default::default(),
-            on_loss: Default::default(),
         };
         let mut gate = Gate::new(Some(u64::MAX));
         let mut message = Features::new(&[[1.0; 2]; 4], 0);
@@ -147,7 +145,6 @@ mod tests {
                 decision,
             },
             predicted: u32::MAX,
-            way: Way::default(),
             wish: Some(Wish {
                 twist: [f64::NAN; 6],
                 until_ns: u64::MAX,

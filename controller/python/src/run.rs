@@ -2,7 +2,6 @@
 
 use ::scene::Pose;
 use ::vpc::Settings;
-use decision::OnLoss;
 use hw_sim::robot::arm::ArmSettings;
 use messages::ClockMode;
 use pyo3::prelude::*;
@@ -212,14 +211,6 @@ impl Setup {
         }
     }
 
-    /// What the daemon does where points are hidden for too long.
-    fn on_loss(&self) -> OnLoss {
-        match &self.body {
-            Body::Free(world) => world.on_loss(),
-            Body::Panda(_) => OnLoss::default(),
-        }
-    }
-
     /// A run from start number `index`.
     fn run<S: Steering>(
         &self,
@@ -291,8 +282,8 @@ impl<'py, 'm> Method<'py, 'm> {
             .map_err(|refused: String| error::value(refused))?;
         check_memory(scene, memory, spec.strategy)?;
         let memory = memory.map(|memory| &*memory.file);
-        let (settings, on_loss) = (setup.settings(spec), setup.on_loss());
-        let ours = Simulated::with(&setup.believed, memory, settings, ClockMode::Fixed, on_loss);
+        let settings = setup.settings(spec);
+        let ours = Simulated::new(&setup.believed, memory, settings, ClockMode::Fixed);
         let ours = Box::new(ours.map_err(error::value)?);
         Ok((spec.to_string(), Self::Ours(ours)))
     }

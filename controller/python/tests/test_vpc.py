@@ -101,10 +101,10 @@ CASES: list[tuple[vpc.Memory | None, list[str], list[str], dict[str, Any]]] = [
     (
         memory,
         ["gpr:3", "foresight:3"],
-        "--noise 0.5 --drop 0.2 --delay 3 --hide 0.1 --blackout-s 0.3 --retrace --seed 5"
+        "--noise 0.5 --drop 0.2 --delay 3 --hide 0.1 --blackout-s 0.3 --seed 5"
         " --motion circle:0.02:0.05 --depth-error -0.1 --gain 0.9 --no-drift".split(),
         dict(
-            noise=0.5, drop=0.2, delay=3, hide=0.1, blackout_s=0.3, retrace=True, seed=5,
+            noise=0.5, drop=0.2, delay=3, hide=0.1, blackout_s=0.3, seed=5,
             motion=["circle:0.02:0.05"], depth_error=-0.1, gain=0.9, no_drift=True,
         ),
     ),

@@ -105,20 +105,6 @@ pub struct Safety {
     /// What the controller does from its arrival on.
     #[serde(with = "AfterArrival")]
     pub after_arrival: decision::AfterArrival,
-    /// What the controller does when points have been hidden for longer than `safety.blind_s`.
-    #[serde(with = "OnLoss")]
-    pub on_loss: decision::OnLoss,
-}
-
-/// What the controller does when points have been hidden for too long.
-#[derive(Deserialize, Serialize, JsonSchema)]
-#[serde(remote = "decision::OnLoss", rename_all = "kebab-case")]
-pub enum OnLoss {
-    /// Brake and stand.
-    Hold,
-    /// Go back along its own way at a quarter of the speed, for 3.2 s of the way at most, until the
-    /// points are seen.
-    Retrace,
 }
 
 /// What the controller does from the cycle after its arrival on.

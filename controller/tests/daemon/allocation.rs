@@ -66,7 +66,6 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
         needs_robot: false,
         begins_armed: true,
         after_arrival: Default::default(),
-        on_loss: Default::default(),
     };
     let control = ControlStep::new(&scene, settings, Some(memory.view()), rules).unwrap();
     let pace = Pace {

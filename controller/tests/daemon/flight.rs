@@ -69,7 +69,6 @@ impl Bench {
             needs_robot: false,
             begins_armed: true,
             after_arrival: Default::default(),
-            on_loss: Default::default(),
         };
         self.loaded.control(rules).unwrap()
     }

@@ -178,7 +178,6 @@ fn control(acceleration: Option<[f64; 2]>) -> (ControlStep<'static>, Rules) {
         needs_robot: false,
         begins_armed: false,
         after_arrival: Default::default(),
-        on_loss: Default::default(),
     };
     let settings = vpc::Settings {
         foresight_steps: 5,

@@ -1,6 +1,6 @@
 //! What is decided about a run before it begins: all of it by the seed.
 
-use decision::{OnLoss, Rules, Safety};
+use decision::{Rules, Safety};
 use memory_blob::MemoryFile;
 use messages::ClockMode;
 use rand::{RngExt, SeedableRng};
@@ -93,10 +93,6 @@ impl<'s> Plan<'s> {
         let safety = Safety {
             armed: matches!(fault, Fault::ArmedStart | Fault::ArmedAlone | Fault::Crash),
             needs_robot: fault == Fault::RobotUnheard || random.random_bool(0.7),
-            on_loss: match fault == Fault::Storm && random.random_bool(0.2) {
-                true => OnLoss::Retrace,
-                false => OnLoss::Hold,
-            },
             ..Safety::default()
         };
         let plan = Self {

@@ -31,7 +31,6 @@ impl Bench {
             needs_robot: false,
             begins_armed: armed,
             after_arrival: AfterArrival::Follow,
-            on_loss: Default::default(),
         };
         Self {
             supervisor: Supervisor::new(rules),
@@ -497,7 +496,6 @@ fn in_lockstep_braking_takes_no_time() {
         needs_robot: false,
         begins_armed: true,
         after_arrival: AfterArrival::Follow,
-        on_loss: Default::default(),
     };
     let mut bench = Bench::moving();
     bench.supervisor = Supervisor::new(rules);

@@ -289,7 +289,6 @@ def run(
     gain: float = 1.0,
     hide: float = 0.0,
     blackout_s: float = 0.0,
-    retrace: bool = False,
 ) -> list[Row]: ...
 @overload
 def run(

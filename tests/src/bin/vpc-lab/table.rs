@@ -255,7 +255,6 @@ pub(crate) fn free(
         ..
     } = cli.camera;
     world.check()?;
-    let on_loss = world.on_loss();
     check("--timeout-s", timeout_s, 0.01, 3600.0)?;
     let believed = cli.common.believed(scene);
     let is_following = cli.common.is_following();
@@ -263,7 +262,7 @@ pub(crate) fn free(
     let (mut rows, mut all, mut told) = (Vec::new(), Vec::new(), String::new());
     for &spec in &cli.common.strategies {
         let settings = cli.common.settings(spec);
-        let mut daemon = Simulated::with(&believed, memory, settings, ClockMode::Fixed, on_loss)?;
+        let mut daemon = Simulated::new(&believed, memory, settings, ClockMode::Fixed)?;
         let mut caches = Caches::default();
         let name = spec.to_string();
         let runs = runs(
