@@ -6,7 +6,7 @@ mod peers;
 use std::collections::BTreeSet;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use ipc::{
     CameraPorts, ControllerPorts, Domain, Observer, OpenError, ReceiveError, RecorderPort,
@@ -168,9 +168,7 @@ fn a_late_controller_gets_the_message_that_the_camera_waits_on() {
     let sent = camera.features.publish(&square(0.0)).unwrap();
     assert_eq!(sent.receivers, 0);
     let echo = working("echo", &place);
-    let answer = camera
-        .wait_for_answer(&sent, Duration::from_secs(10))
-        .unwrap();
+    let answer = camera.wait_for_answer(&sent, testkit::PATIENCE).unwrap();
     assert!(answer.is_some_and(|answer| answer.features_sequence == 1));
     echo.kill();
 }
@@ -234,9 +232,7 @@ fn a_killed_controller_comes_back() {
         let echo = working("echo", &place);
         for _ in 0..20 {
             let sent = camera.features.publish(&square(0.0)).unwrap();
-            let answer = camera
-                .wait_for_answer(&sent, Duration::from_secs(10))
-                .unwrap();
+            let answer = camera.wait_for_answer(&sent, testkit::PATIENCE).unwrap();
             assert!(answer.is_some());
         }
         echo.kill();
@@ -263,7 +259,7 @@ fn answered_by(echo: Running, place: &Place) -> CameraPorts {
     let domain = Domain::join(&place.domain()).unwrap();
     let mut camera = CameraPorts::open(&domain).unwrap();
     let sent = camera.features.publish(&square(0.0)).unwrap();
-    let answer = camera.wait_for_answer(&sent, Duration::from_secs(10));
+    let answer = camera.wait_for_answer(&sent, testkit::PATIENCE);
     assert!(answer.unwrap().is_some());
     echo.kill();
     camera

@@ -1,7 +1,5 @@
 //! A camera that delivers late, in lockstep, against a law that sees the present.
 
-use std::time::Duration;
-
 use hw_sim::FreeCamera;
 use ipc::{CameraPorts, Domain};
 use messages::{Features, Stamp};
@@ -14,7 +12,6 @@ use crate::fixture::{Place, Running, scene_file, vpcd_in};
 const DELAY: u64 = 4;
 /// Frames exposed.
 const FRAMES: u64 = 60;
-const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Steers the emulator's camera by a daemon that sees it late; for each answer, its largest
 /// distance (m/s, rad/s) from that of the law to the true features of now.
@@ -55,7 +52,7 @@ fn distances(config: &str) -> Vec<f64> {
                 data_ns: time_ns(exposed),
             };
             let sent = ports.features.publish_verbatim(&features).unwrap();
-            let answer = ports.wait_for_answer(&sent, PATIENCE).unwrap();
+            let answer = ports.wait_for_answer(&sent, testkit::PATIENCE).unwrap();
             twist = answer.expect("an answer in time").twist;
             let expected = present.step(&Measurement::from_points(&now), None).unwrap();
             let apart = twist.iter().zip(expected.twist).map(|(a, b)| (a - b).abs());

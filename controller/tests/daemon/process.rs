@@ -1,8 +1,6 @@
 //! The whole daemon as its peers see it, in lockstep: nothing depends on how late a machine is.
 //! Silence, robots and clocks are for the target `simulation` of `system-tests`.
 
-use std::time::Duration;
-
 use hw_sim::FreeCamera;
 use ipc::{CameraPorts, Domain, Observer, OperatorPorts};
 use messages::{
@@ -13,8 +11,6 @@ use rustix::process::Signal;
 use scene::Scene;
 
 use crate::fixture::{Place, Running, ended, eventually, scene_file, vpcd_in};
-
-const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A camera that carries out what it is told, and who watches the daemon.
 struct Bench {
@@ -54,7 +50,10 @@ impl Bench {
 
     fn ask(&mut self, features: &Features) -> TwistCommand {
         let sent = self.ports.features.publish(features).unwrap();
-        let answer = self.ports.wait_for_answer(&sent, PATIENCE).unwrap();
+        let answer = self
+            .ports
+            .wait_for_answer(&sent, testkit::PATIENCE)
+            .unwrap();
         answer.expect("an answer in time").message
     }
 
@@ -191,7 +190,7 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
     let mut ask = |request: &dyn Fn(u64) -> Request| -> (Outcome, Reply) {
         loop {
             asked += 1;
-            let reply = operator.ask(&request(asked), PATIENCE).unwrap();
+            let reply = operator.ask(&request(asked), testkit::PATIENCE).unwrap();
             let reply = reply.expect("a reply in time");
             // A daemon that did not get a processor in time refuses what moves: asked again.
             if reply.outcome() != Some(Outcome::Late) {
@@ -333,7 +332,7 @@ fn a_restarted_camera_is_a_new_run() {
             let mut camera = CameraPorts::open(&domain).unwrap();
             let sent = camera.features.publish(&features).unwrap();
             let answer = camera
-                .wait_for_answer(&sent, PATIENCE)
+                .wait_for_answer(&sent, testkit::PATIENCE)
                 .unwrap()
                 .expect("an answer");
             assert_eq!((sent.sequence, answer.features_sequence), (1, 1));

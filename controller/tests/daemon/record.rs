@@ -2,7 +2,6 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Duration;
 
 use ipc::{CameraPorts, Domain, OperatorPorts};
 use messages::{Action, CycleRecord, Features, Outcome, Request, StrategyCode};
@@ -14,8 +13,6 @@ use scene::Scene;
 use serde_json::Value;
 
 use crate::fixture::{Place, Running, eventually, scene_file, square, vpcd, vpcd_in, write_memory};
-
-const PATIENCE: Duration = Duration::from_secs(10);
 
 /// A daemon in lockstep with a memory, a camera, and an operator.
 struct Bench {
@@ -58,12 +55,15 @@ impl Bench {
         let mut features = Features::new(&points, ipc::now_ns());
         change(&mut features);
         let sent = self.camera.features.publish(&features).unwrap();
-        let answer = self.camera.wait_for_answer(&sent, PATIENCE).unwrap();
+        let answer = self
+            .camera
+            .wait_for_answer(&sent, testkit::PATIENCE)
+            .unwrap();
         answer.expect("an answer in time");
     }
 
     fn ask(&mut self, request: &Request) -> Outcome {
-        let reply = self.operator.ask(request, PATIENCE).unwrap();
+        let reply = self.operator.ask(request, testkit::PATIENCE).unwrap();
         reply.expect("a reply in time").outcome().unwrap()
     }
 

@@ -231,7 +231,7 @@ fn in_lockstep_who_finds_the_features_may_come_late() {
     let mut camera = ImagePorts::open(&domain, BYTES).unwrap();
     let sent = send_one(&mut camera.images, 1);
     assert_eq!(sent.receivers, 0);
-    let patience = Duration::from_secs(10);
+    let patience = testkit::PATIENCE;
     assert_eq!(camera.wait_for_answer(&sent, Duration::ZERO).unwrap(), None);
     let echo = working("image-echo", &place);
     for k in 1..20 {

@@ -12,7 +12,6 @@
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::process::Stdio;
-use std::time::Duration;
 
 use controller::replay::replay;
 use decision::{Answer, ControlStep, Decision, Input, Inputs, Rules};
@@ -197,7 +196,7 @@ fn an_edited_recording_is_refused_or_replayed_to_its_end() {
     let daemon = Running::start(place.vpcd(text));
     for _ in 0..100 {
         let sent = camera.show();
-        let answer = camera.ports.wait_for_answer(&sent, Duration::from_secs(10));
+        let answer = camera.ports.wait_for_answer(&sent, testkit::PATIENCE);
         camera.obey(&answer.unwrap().expect("an answer"));
     }
     daemon.signal(Signal::TERM);
@@ -269,7 +268,7 @@ fn the_page_survives_edited_requests() {
     let (address, _) = rest.split_once('/').unwrap();
     let ask = |bytes: &[u8]| -> std::io::Result<String> {
         let mut stream = TcpStream::connect(address)?;
-        stream.set_read_timeout(Some(Duration::from_secs(10)))?;
+        stream.set_read_timeout(Some(testkit::PATIENCE))?;
         stream.write_all(bytes)?;
         stream.shutdown(std::net::Shutdown::Write)?;
         let mut answer = Vec::new();
