@@ -8,7 +8,7 @@ use memmap2::Mmap;
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 
-use crate::format::{self, ALIGNMENT, round_up};
+use crate::format::{self, ALIGNMENT, MOST_BYTES, round_up};
 use crate::header::Header;
 use crate::layout::Layout;
 use crate::sealed;
@@ -59,16 +59,6 @@ pub enum OpenError {
     },
 }
 
-/// Reads a plain file: a device or a pipe may have no end, and a memory no size that is too large.
-fn plain(path: &Path) -> std::io::Result<Vec<u8>> {
-    match std::fs::metadata(path)?.is_file() {
-        true => std::fs::read(path),
-        false => Err(std::io::Error::other(
-            "not a plain file; allowed: a plain file",
-        )),
-    }
-}
-
 /// A verified memory, copied into sealed memory and mapped read-only.
 #[derive(Debug)]
 pub struct MemoryFile {
@@ -88,17 +78,35 @@ impl MemoryFile {
     /// # Errors
     /// [`OpenError`] names the file, the part and what is allowed.
     pub fn open(path: &Path, task: Option<&[u8; 32]>) -> Result<Self, OpenError> {
+        Self::parse(&Self::read(path)?, path, task)
+    }
+
+    /// Reads the bytes of a file, which are not verified yet.
+    ///
+    /// # Errors
+    /// [`OpenError::Read`]: also if it is no plain file, or larger than [`MOST_BYTES`].
+    pub fn read(path: &Path) -> Result<Vec<u8>, OpenError> {
+        toml_schema::read_bytes(path, MOST_BYTES).map_err(|source| OpenError::Read {
+            path: path.display().to_string(),
+            source,
+        })
+    }
+
+    /// As [`MemoryFile::open`], of the bytes of a file that was read before; `path` is for messages.
+    ///
+    /// # Errors
+    /// As [`MemoryFile::open`].
+    pub fn parse(bytes: &[u8], path: &Path, task: Option<&[u8; 32]>) -> Result<Self, OpenError> {
         let name = path.display().to_string();
         let read = |source| OpenError::Read {
             path: name.clone(),
             source,
         };
-        let bytes = plain(path).map_err(read)?;
         let corrupt = |what| OpenError::Corrupt {
             path: name.clone(),
             what,
         };
-        let header = Header::parse(&bytes).map_err(corrupt)?;
+        let header = Header::parse(bytes).map_err(corrupt)?;
         let schema = header.text("schema").map_err(corrupt)?;
         if schema != format::SCHEMA {
             return Err(OpenError::Schema {
@@ -106,7 +114,7 @@ impl MemoryFile {
                 found: schema.to_owned(),
             });
         }
-        header.verify(&bytes).map_err(corrupt)?;
+        header.verify(bytes).map_err(corrupt)?;
         let layout = Layout::read(&header).map_err(corrupt)?;
         layout.check_shapes(&header).map_err(corrupt)?;
         let found = header.task().map_err(corrupt)?;
@@ -134,7 +142,7 @@ impl MemoryFile {
             metadata: header.metadata,
             layout,
             task: found,
-            digest: Sha256::digest(&bytes).into(),
+            digest: Sha256::digest(bytes).into(),
             bytes: bytes.len(),
         };
         file.verify_numbers().map_err(corrupt)?;

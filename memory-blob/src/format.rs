@@ -8,6 +8,9 @@ use sha2::{Digest, Sha256};
 pub(crate) const FORMAT: &str = "vpc-memory";
 /// Value of the metadata key `schema`.
 pub(crate) const SCHEMA: &str = "3";
+/// Largest file, bytes: a hundred times the largest that is shipped. It is read and verified within
+/// the 5 s that `vpcd` has for a check of its files.
+pub(crate) const MOST_BYTES: u64 = 256 << 20;
 /// Largest header, bytes.
 pub(crate) const MAX_HEADER: usize = 64 * 1024;
 /// Alignment of tensors in our files and in sealed memory, bytes.

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::draft::Draft;
+use crate::format::MOST_BYTES;
 use crate::{Contents, WriteError};
 
 impl Contents {
@@ -13,7 +14,17 @@ impl Contents {
     /// # Errors
     /// [`WriteError`] if the contents contradict themselves or the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), WriteError> {
-        program::replace(path, &Draft::of(self)?.bytes()).map_err(|source| WriteError::Write {
+        let bytes = Draft::of(self)?.bytes();
+        if bytes.len() as u64 > MOST_BYTES {
+            return Err(WriteError::Contents {
+                what: "the size of the file",
+                found: format!("{} bytes", bytes.len()),
+                allowed: format!(
+                    "up to {MOST_BYTES}: fewer trajectories, or fewer samples for regression"
+                ),
+            });
+        }
+        program::replace(path, &bytes).map_err(|source| WriteError::Write {
             path: path.display().to_string(),
             source,
         })

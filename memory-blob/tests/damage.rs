@@ -223,6 +223,17 @@ fn a_file_cut_short_anywhere_is_refused() {
 }
 
 #[test]
+fn a_file_that_is_too_large_is_refused_without_reading_it() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    file.as_file().set_len(3 << 40).unwrap();
+    let message = MemoryFile::open(file.path(), None).unwrap_err().to_string();
+    assert!(
+        message.contains("3298534883328 bytes; allowed: up to 268435456"),
+        "{message}"
+    );
+}
+
+#[test]
 fn junk_is_refused_without_a_panic() {
     let directory = TempDir::new().unwrap();
     let path = directory.path().join("junk");

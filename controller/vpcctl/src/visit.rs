@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use memory_blob::MemoryFile;
 use messages::{Action, Outcome, TwistState};
 use program::Exit;
 
@@ -88,7 +89,10 @@ impl<'a> Goal<'a> {
                 Failure::new(failure.exit, message)
             }
         };
-        let of_memory = || bytes(&memory).map_err(to_build);
+        let of_memory = || {
+            let read = MemoryFile::read(&memory);
+            read.map_err(|error| to_build(Failure::new(Exit::NoInput, error)))
+        };
         Ok(Self {
             name: path.display(),
             scene: bytes(path)?,

@@ -1,7 +1,6 @@
 //! Reading a recording, whole or cut short.
 
 use std::collections::{BTreeMap, HashMap};
-use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::Path;
 
@@ -57,7 +56,7 @@ impl Recording {
             path: name.clone(),
             source,
         };
-        let file = File::open(path).map_err(failed)?;
+        let file = toml_schema::open_file(path).map_err(failed)?;
         let length = file.metadata().map_err(failed)?.len();
         let mut file = BufReader::new(file);
         let most = usize::try_from(length).unwrap_or(usize::MAX);
@@ -250,7 +249,7 @@ mod tests {
     fn read(messages: usize, chunk: u64) -> Result<Recording, String> {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.mcap");
-        let file = File::create(&path).unwrap();
+        let file = std::fs::File::create(&path).unwrap();
         let options = mcap::WriteOptions::new().chunk_size(Some(chunk));
         let mut writer = options.create(io::BufWriter::new(file)).unwrap();
         let channel = writer.add_channel(0, "/a", "json", &BTreeMap::new());
@@ -273,7 +272,7 @@ mod tests {
     fn read_text(schema: &str, text: &str) -> Result<Recording, String> {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.mcap");
-        let mut writer = mcap::Writer::new(File::create(&path).unwrap()).unwrap();
+        let mut writer = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
         let schema = writer.add_schema(schema, "jsonschema", b"{}").unwrap();
         let channel = writer.add_channel(schema, Features::TOPIC, "json", &BTreeMap::new());
         let header = mcap::records::MessageHeader {

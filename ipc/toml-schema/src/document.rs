@@ -1,10 +1,12 @@
 //! A configuration file, overridden by the flags of the command line.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::Path;
 
+use rustix::fs::OFlags;
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use toml::{Table, Value};
@@ -79,15 +81,42 @@ pub fn read_text(path: &Path) -> Result<String, FileError> {
     })
 }
 
-/// Reads a file or a pipe, or as much of a device as is allowed.
+/// Opens a plain file for reading. Never waits: a pipe may have no writer, a device no end.
 ///
 /// # Errors
-/// It cannot be read, or it has more than `most` bytes.
+/// It cannot be opened, or is no plain file.
+pub fn open_file(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    let options = options.read(true);
+    let file = options
+        .custom_flags(OFlags::NONBLOCK.bits().cast_signed())
+        .open(path)?;
+    let found = file.metadata()?.file_type();
+    let what = match found {
+        _ if found.is_file() => return Ok(file),
+        _ if found.is_dir() => "a folder",
+        _ if found.is_fifo() => "a pipe",
+        _ => "a device",
+    };
+    let message = format!("is {what}; allowed: a plain file");
+    Err(io::Error::new(io::ErrorKind::InvalidInput, message))
+}
+
+/// Reads a plain file.
+///
+/// # Errors
+/// It cannot be read, is no plain file, or has more than `most` bytes.
 pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
+    let file = open_file(path)?;
+    let length = file.metadata()?.len();
     let mut bytes = Vec::new();
-    File::open(path)?.take(most + 1).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 > most {
-        let message = format!("more than {most} bytes; allowed: up to {most}");
+    // What is too long by its length is not read.
+    if length <= most {
+        file.take(most + 1).read_to_end(&mut bytes)?;
+    }
+    let length = length.max(bytes.len() as u64);
+    if length > most {
+        let message = format!("{length} bytes; allowed: up to {most}");
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
     }
     Ok(bytes)
@@ -192,7 +221,7 @@ impl Document {
             let Some(Value::String(value)) = self.table.get(*key) else {
                 continue;
             };
-            if let Err(source) = std::fs::File::open(value) {
+            if let Err(source) = open_file(Path::new(value)) {
                 let flag = self.flags.get(*key);
                 return Err(FileError::Named {
                     path: flag.map_or(&*self.path, |_| COMMAND_LINE).to_owned(),

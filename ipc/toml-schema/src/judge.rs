@@ -1,5 +1,6 @@
 //! Whether a schema allows a value.
 
+use std::borrow::Cow;
 use std::fmt;
 
 use schemars::JsonSchema;
@@ -8,6 +9,9 @@ use serde_json::Value as Json;
 use toml::Value;
 
 use crate::schema::{allowed, needed, schema, words};
+
+/// Characters of the longest whole number, with its sign.
+const LONG: usize = 20;
 
 /// A key whose value is not allowed, or that is missing.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,10 +27,18 @@ pub struct Refusal {
 impl fmt::Display for Refusal {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.value {
-            Some(value) => write!(f, "{} = {value}; ", self.key)?,
+            Some(value) => write!(f, "{} = {}; ", self.key, short(value))?,
             None => write!(f, "{} is missing; ", self.key)?,
         }
         write!(f, "allowed: {}", self.allowed)
+    }
+}
+
+/// A number of many digits by its power of ten.
+fn short(value: &str) -> Cow<'_, str> {
+    match value.parse::<f64>() {
+        Ok(number) if value.len() > LONG => Cow::Owned(format!("{number:e}")),
+        _ => Cow::Borrowed(value),
     }
 }
 

@@ -31,7 +31,9 @@ mod schema;
 #[cfg(feature = "yaml")]
 mod yaml;
 
-pub use document::{COMMAND_LINE, Document, FileError, MOST_TEXT, read_bytes, read_text};
+pub use document::{
+    COMMAND_LINE, Document, FileError, MOST_TEXT, open_file, read_bytes, read_text,
+};
 #[cfg(feature = "flags")]
 pub use flags::arguments;
 pub use generated::{Generated, GeneratedError, update};

@@ -137,6 +137,18 @@ fn a_refusal_names_file_key_value_and_range() {
 }
 
 #[test]
+fn long_numbers_are_told_by_their_power_of_ten() {
+    for (value, words) in [
+        ("1e300", "a.toml: camera.rate = 1e300; allowed"),
+        ("1e-300", "a.toml: camera.rate = 1e-300; allowed"),
+        ("12345.5", "a.toml: camera.rate = 12345.5; allowed"),
+    ] {
+        let message = refused(&format!("[camera]\nrate = {value}"));
+        assert!(message.starts_with(words), "{message}");
+    }
+}
+
+#[test]
 fn unknown_keys_and_wrong_types_are_shown_in_their_line() {
     for (text, words) in [
         ("[camera]\nwidht = 30", "unknown field `widht`"),
@@ -157,6 +169,38 @@ fn unknown_keys_and_wrong_types_are_shown_in_their_line() {
             .starts_with("/none.toml: cannot read: No such file"),
         "{missing}"
     );
+}
+
+#[test]
+fn what_is_no_plain_file_is_refused_without_waiting() {
+    let place = tempfile::tempdir().unwrap();
+    let pipe = place.path().join("pipe");
+    let mode = rustix::fs::Mode::from_raw_mode(0o600);
+    rustix::fs::mkfifoat(rustix::fs::CWD, &pipe, mode).unwrap();
+    let mut document = Document::parse("", "a.toml").unwrap();
+    for (path, what) in [
+        (pipe.as_path(), "a pipe"),
+        (place.path(), "a folder"),
+        (Path::new("/dev/zero"), "a device"),
+    ] {
+        let name = path.display();
+        let message = Document::read(Some(path)).unwrap_err().to_string();
+        let words = format!("{name}: cannot read: is {what}; allowed: a plain file");
+        assert_eq!(message, words);
+        document.set("scene", "--scene", path.to_str());
+        let message = document.readable(&["scene"]).unwrap_err().to_string();
+        assert!(message.contains(&format!("is {what}")), "{message}");
+    }
+}
+
+#[test]
+fn a_file_that_is_too_long_is_refused_by_its_length() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    file.as_file().set_len(1 << 40).unwrap();
+    let message = toml_schema::read_bytes(file.path(), 7).unwrap_err();
+    assert_eq!(message.to_string(), "1099511627776 bytes; allowed: up to 7");
+    file.as_file().set_len(7).unwrap();
+    assert_eq!(toml_schema::read_bytes(file.path(), 7).unwrap(), [0; 7]);
 }
 
 #[test]

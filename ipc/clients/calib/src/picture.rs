@@ -57,7 +57,7 @@ impl Picture {
     /// [`PictureError`]: the file cannot be read, or is no such image.
     pub fn read(path: &Path) -> Result<Self, PictureError> {
         let refuse = |reason: &dyn ToString| PictureError::new(path, reason.to_string());
-        let file = File::open(path).map_err(|error| refuse(&error))?;
+        let file = toml_schema::open_file(path).map_err(|error| refuse(&error))?;
         let mut decoder = png::Decoder::new(BufReader::new(file));
         decoder.set_transformations(Transformations::normalize_to_color8());
         let mut reader = decoder.read_info().map_err(|error| refuse(&error))?;

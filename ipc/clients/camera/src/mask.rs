@@ -129,8 +129,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let size = [camera.width, camera.height].map(|side| side as u32);
     scene::write_mask(&mask_file, size[0], size[1], is_covered)
         .with_context(|| format!("{}: cannot write", mask_file.display()))?;
-    let text = fs::read_to_string(&arguments.scene)
-        .with_context(|| arguments.scene.display().to_string())?;
+    let text = toml_schema::read_text(&arguments.scene)?;
     fs::write(&scene_file, scene::with_mask(&text, MASK))
         .with_context(|| format!("{}: cannot write", scene_file.display()))?;
     let areas = Scene::read(&scene_file)?.areas().count();

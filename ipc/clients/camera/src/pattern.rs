@@ -84,7 +84,7 @@ pub fn run(arguments: &PatternArguments) -> anyhow::Result<String> {
         );
     }
     let whole = black / config.family.black_share();
-    let text = fs::read_to_string(&config.scene_path)?;
+    let text = toml_schema::read_text(&config.scene_path)?;
     let points = layout.centers.iter();
     let points = Vec::from_iter(points.map(|[x, y]| format!("[{x:.6}, {y:.6}, 0.0]")));
     let values = [

@@ -41,8 +41,7 @@ impl Mask {
         .with_context(|| format!("{}: cannot write", self.output.display()))?;
         let mut said = format!("wrote {}, {width}x{height} px\n", self.output.display());
         if let Some(file) = &self.scene_out {
-            let text = fs::read_to_string(&self.scene)
-                .with_context(|| self.scene.display().to_string())?;
+            let text = toml_schema::read_text(&self.scene)?;
             let text = scene::with_mask(&text, &beside(file, &self.output)?);
             fs::write(file, text).with_context(|| format!("{}: cannot write", file.display()))?;
             said += &if scene.occlusions.is_empty() {

@@ -1,6 +1,5 @@
 //! Files of single images: PNG and PGM.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
@@ -34,7 +33,8 @@ impl Picture {
 
     fn read_png(path: &Path, name: String) -> Result<Self, SourceError> {
         let refuse = |error: png::DecodingError| SourceError::value(&name, error, "a PNG file");
-        let file = File::open(path).map_err(|error| SourceError::system(&name, error))?;
+        let file =
+            toml_schema::open_file(path).map_err(|error| SourceError::system(&name, error))?;
         let mut decoder = Decoder::new(BufReader::new(file));
         // Palettes and 16 bits become 8 bits a channel.
         decoder.set_transformations(Transformations::normalize_to_color8());

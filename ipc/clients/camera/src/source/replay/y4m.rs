@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::path::Path;
 
 use super::super::SourceError;
-use super::picture::{Picture, check_size};
+use super::picture::{MOST_SIDE, Picture, check_size};
 
 /// Longest header of a file or a frame, bytes.
 const MOST_HEADER: u64 = 4096;
@@ -23,7 +23,8 @@ impl Video {
     /// Opens a file and reads its header.
     pub fn open(path: &Path) -> Result<Self, SourceError> {
         let name = path.display().to_string();
-        let file = File::open(path).map_err(|error| SourceError::system(&name, error))?;
+        let file =
+            toml_schema::open_file(path).map_err(|error| SourceError::system(&name, error))?;
         let mut video = Self {
             name,
             file: BufReader::new(file),
@@ -42,8 +43,8 @@ impl Video {
                 continue;
             };
             match key {
-                "W" => video.size[0] = value.parse().unwrap_or(0),
-                "H" => video.size[1] = value.parse().unwrap_or(0),
+                "W" => video.size[0] = video.side(word, value)?,
+                "H" => video.size[1] = video.side(word, value)?,
                 "C" => format = value,
                 _ => (),
             }
@@ -99,6 +100,12 @@ impl Video {
         Ok((!line.is_empty()).then(|| text.trim_end().to_owned()))
     }
 
+    /// Width or height, px; `word` is the header's.
+    fn side(&self, word: &str, value: &str) -> Result<u32, SourceError> {
+        let allowed = format!("1 to {MOST_SIDE} px");
+        value.parse().map_err(|_| self.refuse(word, &allowed))
+    }
+
     fn refuse(&self, found: &str, allowed: &str) -> SourceError {
         SourceError::value(&self.name, found, allowed)
     }
@@ -152,7 +159,11 @@ mod tests {
                 "the format 420p10; allowed: mono, 420, 422 or 444, of 8 bits",
             ),
             ("YUV4MPEG2 H1\n", "an image of 0x1 px"),
-            ("YUV4MPEG2 Wx H1\n", "an image of 0x1 px"),
+            ("YUV4MPEG2 Wx H1\n", "a.y4m: Wx; allowed: 1 to 8192 px"),
+            (
+                "YUV4MPEG2 W18446744073709551616 H1\n",
+                "W18446744073709551616; allowed: 1 to 8192 px",
+            ),
             (
                 "YUV4MPEG2 W3 H1 Cmono\nFRAME\nab",
                 "the last frame is cut off",
