@@ -13,6 +13,9 @@ use rustix::process::{Signal, getpid, kill_process};
 const PERIOD: Duration = Duration::from_millis(1);
 const LOOK: Duration = Duration::from_micros(50);
 
+/// How long a stop waits.
+const PATIENCE: Duration = Duration::from_secs(20);
+
 /// Tells the test that the ports are open.
 fn working() {
     println!("working");
@@ -89,8 +92,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let (directory, role, is_once) = match words[..] {
         [directory, role] => (directory, role, false),
         [directory, role, "once"] => (directory, role, true),
-        _ => return Err("peer DOMAIN camera|echo|images|image-echo [once]".into()),
+        _ => return Err("peer DOMAIN camera|echo|images|image-echo|stop [once]".into()),
     };
+    if role == "stop" {
+        ipc::stop(Path::new(directory), PATIENCE)?;
+        return Ok(());
+    }
     let domain = Domain::join(Path::new(directory))?;
     let turned = || {
         if is_once {

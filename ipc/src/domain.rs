@@ -96,11 +96,17 @@ impl Domain {
         let config = configuration(guard.directory(), &prefix).ok_or(JoinReason::Path)?;
         remove_unfinished(&prefix);
         has_room()?;
-        let node = NodeBuilder::new()
-            .config(&config)
-            .signal_handling_mode(SignalHandlingMode::Disabled)
-            .create::<Service>()?;
-        let services = service::open_all(&node)?;
+        let open = || -> Result<_, JoinReason> {
+            let node = NodeBuilder::new()
+                .config(&config)
+                .signal_handling_mode(SignalHandlingMode::Disabled)
+                .create::<Service>()?;
+            Ok((service::open_all(&node)?, node))
+        };
+        let (services, node) = open().map_err(|reason| match is_full(guard.directory()) {
+            true => JoinReason::FullDisk(Box::new(reason)),
+            false => reason,
+        })?;
         let shared = Rc::new(Shared {
             services,
             node: Some(node),
@@ -259,6 +265,13 @@ fn has_room() -> Result<(), JoinReason> {
         true => Err(JoinReason::NoRoom { free, needed }),
         false => Ok(()),
     }
+}
+
+/// Whether the disk of this directory has no room, or no room for another file.
+fn is_full(directory: &Path) -> bool {
+    rustix::fs::statvfs(directory).is_ok_and(|found| {
+        (found.f_blocks > 0 && found.f_bavail == 0) || (found.f_files > 0 && found.f_favail == 0)
+    })
 }
 
 /// The files in shared memory with this prefix that belong to this user. Others' are not ours,

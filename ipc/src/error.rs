@@ -41,13 +41,16 @@ pub enum JoinReason {
          (mount -o remount,size=1G /dev/shm); a stop needs none of it"
     )]
     NoRoom { free: u64, needed: u64 },
+    /// iceoryx2 keeps small files in the directory.
+    #[error("its disk is full; remove what fills it; a stop needs none of it ({0})")]
+    FullDisk(Box<JoinReason>),
     /// Another process has been joining or leaving for this many seconds.
     #[error(
         "another process has been joining or leaving for {0} s; end it if it is stopped, or use another domain"
     )]
     Busy(u64),
     /// iceoryx2 refused the node.
-    #[error("iceoryx2 refused the node: {0}")]
+    #[error("iceoryx2 cannot make its files there: {0}")]
     Node(#[from] NodeCreationFailure),
     /// A service exists with other types or another quality of service.
     #[error(

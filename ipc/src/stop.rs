@@ -7,7 +7,7 @@
 //! | 32 to 63 | the controller | the stop that it obeyed, once the zero twist is sent |
 //!
 //! The controller leaves the file with both halves equal and with [`OBEYED_AT`] as its time of last
-//! change. Anything else at this path is a stop: other bytes, another length, another time (so the
+//! change. It writes its own half alone, so that a stop that is asked for meanwhile stays so. Anything else at this path is a stop: other bytes, another length, another time (so the
 //! same words twice, or `touch`), another file, none. The controller looks in each cycle, after the
 //! requests of operators, so that a stop wins over an `arm` of the same cycle. A stop that was
 //! asked for while no controller ran is obeyed by the next one. The file is read and not mapped: a
@@ -22,6 +22,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{AtFlags, CWD, OFlags, StatxFlags, Timespec, Timestamps, futimens, statx};
+use rustix::process::{Resource, getrlimit};
 
 use crate::clock::now_ns;
 
@@ -30,10 +31,7 @@ pub const STOP_FILE: &str = "stop";
 
 /// Time of the last change of the file after a stop was obeyed: the beginning of 1970. Any other
 /// write changes it.
-const OBEYED_AT: Timespec = Timespec {
-    tv_sec: 0,
-    tv_nsec: 0,
-};
+const OBEYED_AT: Time = (0, 0);
 /// Bytes of each half, and of both.
 const HALF: usize = 32;
 const BOTH: usize = 2 * HALF;
@@ -50,8 +48,9 @@ pub struct StopFile {
     path: CString,
     /// Device, as major and minor number, and inode of the open file.
     place: (u32, u32, u64),
-    /// What is asked for.
+    /// What is asked for, and the time of the last change when that was read.
     asked: Content,
+    changed: Time,
 }
 
 impl StopFile {
@@ -60,8 +59,8 @@ impl StopFile {
     /// room on the disk, so that a stop needs none.
     ///
     /// # Errors
-    /// [`StopError::File`] if it cannot be used, is no plain file or another user's, or if the disk
-    /// has no room for it.
+    /// [`StopError::File`] if it cannot be used, is no plain file, has another name (a hard link) or
+    /// is another user's, or if the disk has no room for it.
     pub fn open(directory: &Path) -> Result<Self, StopError> {
         let path = directory.join(STOP_FILE);
         let refuse = |source| StopError::File {
@@ -84,6 +83,10 @@ impl StopFile {
         if !found.is_file() {
             return Err(refuse(io::Error::other("not a plain file; remove it")));
         }
+        if found.nlink() > 1 {
+            let reason = "has another name, which a stop would write to; remove it";
+            return Err(refuse(io::Error::other(reason)));
+        }
         let (owner, us) = (found.uid(), rustix::process::geteuid().as_raw());
         if owner != us {
             let reason = format!("belongs to user {owner}, not to user {us}; remove it");
@@ -93,11 +96,13 @@ impl StopFile {
         let absolute =
             CString::new(absolute.as_os_str().as_bytes()).map_err(|error| refuse(error.into()))?;
         let (asked, _) = read(&file).map_err(refuse)?;
+        let (place, changed, _) = place(&absolute).map_err(refuse)?;
         let this = Self {
-            place: place(&absolute).map_err(refuse)?.0,
+            place,
             path: absolute,
             file,
             asked,
+            changed,
         };
         // A file that is there is as it was obeyed, or asks for a stop; to write it could undo one.
         if is_new {
@@ -111,11 +116,14 @@ impl StopFile {
     /// nor waits. Also true where the file cannot be read, or the domain's path leads to another
     /// one or to none: nobody could stop any more.
     pub fn is_asked(&mut self) -> bool {
-        let (Ok((asked, obeyed)), Ok((found, is_as_left))) = (read(&self.file), place(&self.path))
+        // The time first: what changes afterwards is newer.
+        let (Ok((found, changed, length)), Ok((asked, obeyed))) =
+            (place(&self.path), read(&self.file))
         else {
             return true;
         };
-        self.asked = asked;
+        (self.asked, self.changed) = (asked, changed);
+        let is_as_left = changed == OBEYED_AT && length == BOTH as u64;
         found != self.place || !is_as_left || obeyed != Some(asked)
     }
 
@@ -127,31 +135,36 @@ impl StopFile {
     }
 
     fn write_obeyed(&self) -> io::Result<()> {
-        let mut both = [0; BOTH];
-        let (first, second) = both.split_at_mut(HALF);
-        first.copy_from_slice(&self.asked);
-        second.copy_from_slice(&self.asked);
-        self.file.write_all_at(&both, 0)?;
+        let changed = place(&self.path)?.1;
+        self.file.write_all_at(&self.asked, HALF as u64)?;
         self.file.set_len(BOTH as u64)?;
+        if changed != self.changed {
+            // By whoever asked since: the same words again, or `touch`.
+            return Ok(());
+        }
+        let (tv_sec, tv_nsec) = (OBEYED_AT.0, OBEYED_AT.1.into());
+        let time = Timespec { tv_sec, tv_nsec };
         let times = Timestamps {
-            last_access: OBEYED_AT,
-            last_modification: OBEYED_AT,
+            last_access: time,
+            last_modification: time,
         };
         Ok(futimens(&self.file, &times)?)
     }
 }
 
-/// Device and inode of what is at a path, and whether it has the length and the time of an obeyed
-/// stop. Asks no server where the file system has one.
-fn place(path: &CString) -> io::Result<((u32, u32, u64), bool)> {
+/// A time of last change: s since 1970, and ns.
+type Time = (i64, u32);
+
+/// Of what is at a path: device and inode, time of the last change, length. Asks no server where the
+/// file system has one.
+fn place(path: &CString) -> io::Result<((u32, u32, u64), Time, u64)> {
     let flags = AtFlags::SYMLINK_NOFOLLOW | AtFlags::STATX_DONT_SYNC;
     let wanted = StatxFlags::INO | StatxFlags::MTIME | StatxFlags::SIZE;
     let found = statx(CWD, path, flags, wanted)?;
-    let (time, obeyed) = (found.stx_mtime, OBEYED_AT);
-    let is_as_left = found.stx_size == BOTH as u64
-        && (time.tv_sec, i64::from(time.tv_nsec)) == (obeyed.tv_sec, obeyed.tv_nsec);
+    let changed = (found.stx_mtime.tv_sec, found.stx_mtime.tv_nsec);
     let device = (found.stx_dev_major, found.stx_dev_minor);
-    Ok(((device.0, device.1, found.stx_ino), is_as_left))
+    let place = (device.0, device.1, found.stx_ino);
+    Ok((place, changed, found.stx_size))
 }
 
 /// Why a stop is not known to have been obeyed.
@@ -178,8 +191,9 @@ pub struct Asked {
 
 impl Asked {
     /// Asks for a stop in the domain of this directory, which need not be joined. Does not wait.
-    /// Where the file cannot be written, as on a full disk that copies on write, it is emptied, and
-    /// where that fails, removed: both are stops.
+    /// Where the file cannot be written, as on a full disk that copies on write, or beyond the limit
+    /// on the size of files (`ulimit -f`), it is emptied, and where that fails, removed: both are
+    /// stops.
     ///
     /// # Errors
     /// [`StopError::File`] if there is no such file, or nothing of it may be changed.
@@ -191,7 +205,13 @@ impl Asked {
             let text = format!("{} {}", std::process::id(), now_ns());
             let pairs = word.iter_mut().zip(text.bytes());
             pairs.for_each(|(to, from)| *to = from);
-            file.write_all_at(&word, 0)
+            // Beyond it a write would end a program that does not ignore SIGXFSZ.
+            let most = getrlimit(Resource::Fsize).current;
+            let written = match most.is_none_or(|most| most >= HALF as u64) {
+                true => file.write_all_at(&word, 0),
+                false => Err(io::ErrorKind::FileTooLarge.into()),
+            };
+            written
                 .or_else(|_| file.set_len(0))
                 .or_else(|_| std::fs::remove_file(&path))?;
             Ok(file)
@@ -221,7 +241,7 @@ impl Asked {
     pub fn not_obeyed(&self, after: Duration) -> StopError {
         StopError::NotObeyed {
             path: self.path.clone(),
-            seconds: after.as_secs_f64(),
+            seconds: (after.as_secs_f64() * 1e3).round() / 1e3,
         }
     }
 }
@@ -348,6 +368,55 @@ mod tests {
         assert!(!StopFile::open(domain.path()).unwrap().is_asked());
         shell("touch stop");
         assert!(StopFile::open(domain.path()).unwrap().is_asked());
+    }
+
+    #[test]
+    fn a_stop_that_comes_while_another_is_obeyed_stays_asked_for() {
+        for line in ["echo again > stop", ": > stop", "touch -d yesterday stop"] {
+            let domain = tempfile::tempdir().unwrap();
+            let mut controller = StopFile::open(domain.path()).unwrap();
+            let shell = |line: &str| {
+                let mut shell = testkit::command("sh");
+                let status = shell.args(["-c", line]).current_dir(domain.path()).status();
+                assert!(status.unwrap().success(), "{line}");
+            };
+            shell("echo first > stop");
+            assert!(controller.is_asked());
+            shell(line);
+            controller.obey();
+            assert!(controller.is_asked(), "{line}");
+            controller.obey();
+            assert!(!controller.is_asked(), "{line}");
+        }
+        let domain = tempfile::tempdir().unwrap();
+        let mut controller = StopFile::open(domain.path()).unwrap();
+        Asked::in_domain(domain.path()).unwrap();
+        assert!(controller.is_asked());
+        let second = Asked::in_domain(domain.path()).unwrap();
+        controller.obey();
+        assert!(!second.is_obeyed().unwrap() && controller.is_asked());
+        controller.obey();
+        assert!(second.is_obeyed().unwrap());
+    }
+
+    #[test]
+    fn a_file_with_another_name_is_refused_and_not_written() {
+        let domain = tempfile::tempdir().unwrap();
+        let other = domain.path().join("precious");
+        std::fs::write(&other, "precious").unwrap();
+        std::fs::hard_link(&other, domain.path().join(STOP_FILE)).unwrap();
+        let message = StopFile::open(domain.path()).unwrap_err().to_string();
+        assert!(message.contains("has another name"), "{message}");
+        assert_eq!(std::fs::read(other).unwrap(), b"precious");
+    }
+
+    #[test]
+    fn how_long_it_waited_is_told_in_milliseconds() {
+        let domain = tempfile::tempdir().unwrap();
+        drop(StopFile::open(domain.path()).unwrap());
+        let asked = Asked::in_domain(domain.path()).unwrap();
+        let message = asked.not_obeyed(Duration::from_nanos(1_999_999_690));
+        assert!(message.to_string().contains("within 2 s;"), "{message}");
     }
 
     #[test]

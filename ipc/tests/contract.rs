@@ -10,7 +10,7 @@ use std::time::Instant;
 
 use ipc::{
     CameraPorts, ControllerPorts, Domain, Observer, OpenError, ReceiveError, RecorderPort,
-    RobotPorts,
+    RobotPorts, StopFile,
 };
 use messages::{CycleRecord, Features, Hold, Order, RobotState, TwistCommand, TwistState};
 use rand::{RngExt, SeedableRng};
@@ -388,6 +388,20 @@ fn files_of_other_users_in_shared_memory_keep_nobody_out() {
     std::fs::remove_file(&theirs).unwrap();
     CameraPorts::open(&domain.unwrap()).unwrap();
     assert!(is_there, "it is theirs to remove");
+}
+
+#[test]
+fn a_stop_gets_through_a_limit_on_the_size_of_files() {
+    let place = Place::new();
+    std::fs::create_dir(place.domain()).unwrap();
+    let mut controller = StopFile::open(&place.domain()).unwrap();
+    let mut shell = testkit::command("sh");
+    shell.args(["-c", "ulimit -f 0; exec \"$@\"", "sh"]);
+    let peer = Running::start(peer("stop", &place, Some(shell)));
+    eventually("a stop", || controller.is_asked().then_some(()));
+    controller.obey();
+    let ended = peer.ended();
+    assert_eq!(ended.code, Some(0), "{ended:?}");
 }
 
 #[test]
