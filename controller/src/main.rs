@@ -7,5 +7,9 @@ use std::process::ExitCode;
 static ALLOCATOR: heap_meter::Meter = heap_meter::Meter;
 
 fn main() -> ExitCode {
+    program::begin();
+    if let Err(why) = controller::stack::check() {
+        return program::Exit::Config.say("vpcd", why);
+    }
     controller::daemon::main(std::env::args_os())
 }

@@ -3,6 +3,8 @@
 
 use std::mem::MaybeUninit;
 
+use rustix::process::{Resource, getrlimit};
+
 /// Bytes touched below the caller: eight times what a cycle with a memory was seen to use (48 KiB
 /// without full optimization; `stack_used_bytes` of `vpcd --report`).
 pub const SIZE: usize = 384 << 10;
@@ -13,6 +15,25 @@ const PAINT: u8 = 0xA5;
 /// Bytes of a page that may differ from the paint though no frame lies there: large frames probe
 /// each page.
 const PROBES: usize = 32;
+
+/// Least limit on the stack, bytes, with which the daemon begins: what is touched, and as much for
+/// reading its files.
+const LEAST: u64 = 1 << 20;
+
+/// Checks the limit on the stack: beyond it the kernel would end the daemon without a word.
+///
+/// # Errors
+/// What is found, and what is allowed.
+pub fn check() -> Result<(), String> {
+    match getrlimit(Resource::Stack).current {
+        Some(found) if found < LEAST => Err(format!(
+            "a stack of at most {} KiB; allowed: {} KiB and more (ulimit -s, or LimitSTACK= in a unit)",
+            found >> 10,
+            LEAST >> 10
+        )),
+        _ => Ok(()),
+    }
+}
 
 type Area = [MaybeUninit<u8>; SIZE];
 

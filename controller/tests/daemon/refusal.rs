@@ -169,26 +169,57 @@ fn a_missing_file_is_66() {
 }
 
 #[test]
-fn files_without_an_end_are_refused_and_say_what_is_allowed() {
+fn what_is_no_plain_file_is_refused_without_waiting() {
     let place = Place::new();
-    let mut config = vpcd();
-    config.args(["--check-only", "--config", "/dev/zero"]);
-    let text = [
-        "/dev/zero: cannot read: more than 16777216 bytes",
-        "allowed: up to 16777216",
-    ];
-    assert_refused(ended(config), 66, &text);
-    let mut scene = vpcd();
-    scene.args(["--check-only", "--scene", "/dev/zero"]);
-    assert_refused(ended(scene), 66, &text);
-    let mut memory = vpcd_in(&place);
-    memory.args(["--strategy", "gpr", "--check-only", "--memory", "/dev/zero"]);
-    assert_refused(ended(memory), 66, &["/dev/zero", "allowed: a plain file"]);
-    let head = scene::PAPER_SIM.split("[[occlusion]]").next().unwrap();
-    let mask = "[[occlusion]]\nname = \"m\"\nmask = \"/dev/zero\"\n";
-    place.file("s.toml", format!("{head}{mask}"));
-    let outcome = with_config(&place, "scene = 's.toml'");
-    assert_refused(outcome, 65, &["/dev/zero", "allowed: up to 67108864"]);
+    let made = testkit::command("mkfifo").arg(place.path("pipe")).status();
+    assert!(made.unwrap().success());
+    let pipe = place.path("pipe").display().to_string();
+    for (path, what) in [("/dev/zero", "is a device"), (&*pipe, "is a pipe")] {
+        let words = [path, what, "allowed: a plain file"];
+        let with_flags = |flags: &[&str]| {
+            let mut command = vpcd_in(&place);
+            command.arg("--check-only").args(flags);
+            ended(command)
+        };
+        let mut config = vpcd();
+        config.args(["--check-only", "--config", path]);
+        assert_refused(ended(config), 66, &words);
+        let mut scene = vpcd();
+        scene.args(["--check-only", "--scene", path]);
+        assert_refused(ended(scene), 66, &words);
+        let memory = ["--strategy", "gpr", "--memory", path];
+        assert_refused(with_flags(&memory), 66, &words);
+        let (head, occlusions) = scene::PAPER_SIM.split_once("[[occlusion]]").unwrap();
+        let mask = format!("{head}[[occlusion]]\nname = 'm'\nmask = '{path}'\n");
+        let arm = format!("arm = '{path}'\n{head}[[occlusion]]{occlusions}");
+        for (text, exit) in [(mask, 65), (arm, 66)] {
+            place.file("s.toml", text);
+            let outcome = with_config(&place, "scene = 's.toml'");
+            assert_refused(outcome, exit, &words);
+        }
+        let mut replay = vpcd();
+        replay.args(["replay", path]);
+        assert_refused(ended(replay), 66, &words);
+    }
+}
+
+#[test]
+fn a_stack_that_is_too_small_is_told_and_the_least_suffices() {
+    let place = Place::new();
+    let limited = |kib: u32, flags: &[&str]| {
+        let mut shell = testkit::command("sh");
+        shell.args(["-c", &format!("ulimit -s {kib}; exec \"$@\""), "sh"]);
+        let vpcd = vpcd_in(&place);
+        shell
+            .arg(vpcd.get_program())
+            .args(vpcd.get_args())
+            .args(flags);
+        ended(shell)
+    };
+    let words = ["a stack of at most 128 KiB; allowed: 1024 KiB and more"];
+    assert_refused(limited(128, &[]), 78, &words);
+    let (code, said) = limited(1024, &["--cycles", "3"]);
+    assert_eq!(code, 0, "{said}");
 }
 
 #[test]

@@ -3,5 +3,6 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    program::begin();
     vpcctl::main(std::env::args_os())
 }

@@ -35,6 +35,8 @@ pub enum Exit {
     Software = 70,
     /// A file cannot be written.
     CannotCreate = 73,
+    /// `vpcctl`: the domain is another user's.
+    NoPermission = 77,
     /// The configuration is wrong.
     Config = 78,
 }

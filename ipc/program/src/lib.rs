@@ -27,7 +27,8 @@ pub use replace::{publish, replace};
 pub use sibling::sibling;
 #[cfg(feature = "process")]
 pub use signals::{
-    StartUp, end_within, ignore, is_ignored, set_on, stop_on_signals, stop_or_end_on_signals,
+    StartUp, end_within, ending, ignore, is_ignored, set_on, stop_on_signals,
+    stop_or_end_on_signals,
 };
 #[cfg(feature = "process")]
-pub use start::{arguments, log, notify};
+pub use start::{arguments, begin, log, notify};

@@ -24,7 +24,7 @@ impl StartUp {
     /// # Errors
     /// The system refuses a handler.
     pub fn begin() -> io::Result<Self> {
-        Self::on(signals())
+        Self::on(ending())
     }
 
     /// Begins with other signals.
@@ -54,7 +54,7 @@ impl Drop for StartUp {
 /// The system refuses a handler.
 pub fn stop_on_signals() -> io::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
-    for signal in signals() {
+    for signal in ending() {
         set_on(signal, &stop)?;
     }
     Ok(stop)
@@ -67,7 +67,7 @@ pub fn stop_on_signals() -> io::Result<Arc<AtomicBool>> {
 /// The system refuses a handler.
 pub fn stop_or_end_on_signals() -> io::Result<Arc<AtomicBool>> {
     let stop = Arc::new(AtomicBool::new(false));
-    for signal in signals() {
+    for signal in ending() {
         let registered = flag::register_conditional_shutdown(signal, 130, Arc::clone(&stop));
         registered.map_err(refused(signal))?;
         set_on(signal, &stop)?;
@@ -129,7 +129,8 @@ pub fn end_within(
     thread.spawn(watch).map(drop)
 }
 
-fn signals() -> impl Iterator<Item = i32> {
+/// The signals that end a program.
+pub fn ending() -> impl Iterator<Item = i32> {
     let hangup = (!is_ignored(SIGHUP)).then_some(SIGHUP);
     [SIGINT, SIGTERM].into_iter().chain(hangup)
 }

@@ -1,4 +1,4 @@
-//! Command line, log, and the service manager.
+//! First steps, command line, log, and the service manager.
 
 use std::io::IsTerminal;
 use std::os::linux::net::SocketAddrExt;
@@ -7,15 +7,24 @@ use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::process::ExitCode;
 
 use clap::{ArgMatches, CommandFactory};
+use signal_hook::consts::SIGXFSZ;
 use tracing_subscriber::EnvFilter;
 
-use crate::Exit;
+use crate::{Exit, ignore};
 
-/// Reads the command line.
+/// What every program does first: a write beyond the limit on the size of files (`ulimit -f`) fails,
+/// as on a full disk, instead of ending the program.
+pub fn begin() {
+    // There is such a signal, and it can be ignored.
+    let _ = ignore(SIGXFSZ);
+}
+
+/// [`begin`]s, and reads the command line.
 ///
 /// # Errors
 /// Help, version, or what is wrong were printed; the exit code.
 pub fn arguments<A: CommandFactory>() -> Result<ArgMatches, ExitCode> {
+    begin();
     A::command().try_get_matches().map_err(|error| {
         // Help and version are not errors.
         let exit = if error.use_stderr() {

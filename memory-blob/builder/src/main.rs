@@ -166,6 +166,7 @@ fn growth(text: &str) -> Result<(String, f64), String> {
 }
 
 fn main() -> ExitCode {
+    program::begin();
     let result = match Cli::parse().command {
         Command::Build(build) => build.run().map(|said| print(&said)),
         Command::Inspect { file } => {

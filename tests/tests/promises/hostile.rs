@@ -169,3 +169,20 @@ fn answer(camera: &mut CameraPorts) -> TwistCommand {
         std::hint::spin_loop();
     }
 }
+
+/// `ulimit -f`: a write beyond it fails, and no program dies of it.
+#[test]
+fn a_limit_on_the_size_of_files_ends_no_program() {
+    let place = Place::new();
+    for name in ["vpcd", "vpcctl", "hw-sim", "vpc-memory"] {
+        let mut shell = testkit::command("sh");
+        shell.args(["-c", "ulimit -f 0; exec \"$@\" > out", "sh"]);
+        shell.arg(testkit::program(name)).arg("--help");
+        let ended = testkit::ended(shell.current_dir(place.directory()));
+        assert_eq!(
+            (ended.code, ended.signal),
+            (Some(0), None),
+            "{name}: {ended:?}"
+        );
+    }
+}

@@ -45,6 +45,7 @@ fn arguments() -> impl Iterator<Item = OsString> {
 }
 
 fn main() -> ExitCode {
+    program::begin();
     let lab = Lab::read(arguments()).unwrap_or_else(|error| error.exit());
     attended("vpc-lab", |children| match &lab {
         Lab::Demo(cli) => demo::show(children, cli),
