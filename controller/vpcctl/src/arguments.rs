@@ -22,7 +22,7 @@ use crate::visit::VisitArguments;
 /// files are there already (init), or what is seen is no goal (teach), or the daemon does not take
 /// it up; 3 no daemon; 4 the daemon does not answer; 5 disarmed (status); 64 command line; 65 a
 /// file is wrong; 66 a file is missing; 69 shared memory, slot or address not available; 70 failure
-/// of vpcctl.
+/// of vpcctl; 77 the domain is another user's, and nothing was done.
 #[derive(Clone, Debug, Parser)]
 #[command(name = "vpcctl", version, max_term_width = 100)]
 pub struct Arguments {
@@ -94,6 +94,22 @@ pub enum Command {
     Record(RecordArguments),
     /// Draw a recording (paths, commands, latencies) and report deadlines.
     Plot(PlotArguments),
+}
+
+impl Command {
+    /// Whether its exit code tells what was done, and not what was printed.
+    pub fn acts(&self) -> bool {
+        matches!(
+            self,
+            Self::Arm(_)
+                | Self::Disarm(_)
+                | Self::Stop(_)
+                | Self::Recover(_)
+                | Self::Strategy(_)
+                | Self::Flight(_)
+                | Self::Teach(_)
+        )
+    }
 }
 
 /// The command line of `arm`.

@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::io;
 use std::path::Path;
 
+use ipc::JoinReason;
 use program::Exit;
 use recorder::{PlotError, RecordError};
 use recording::{ReadError, WriteError};
@@ -25,15 +26,6 @@ impl Failure {
             exit,
             message: message.to_string(),
         }
-    }
-
-    /// No daemon runs in the domain of this directory.
-    pub fn no_daemon(directory: &Path) -> Self {
-        let domain = directory.display();
-        let message = format!(
-            "domain {domain}: no vpcd is at work; start it (vpcd --domain {domain} ...), or name its domain with --domain"
-        );
-        Self::new(Exit::NoDaemon, message)
     }
 
     /// The file or directory cannot be written.
@@ -58,7 +50,10 @@ macro_rules! exits {
 }
 
 exits! {
-    ipc::JoinError => |_| Exit::Unavailable,
+    ipc::JoinError => |error| match error.reason {
+        JoinReason::NotOurs { owner, us } if owner != us => Exit::NoPermission,
+        _ => Exit::Unavailable,
+    },
     ipc::OpenError => |_| Exit::Unavailable,
     ipc::PublishError => |_| Exit::Unavailable,
     ipc::AskError => |_| Exit::Unavailable,

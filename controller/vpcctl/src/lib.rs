@@ -132,6 +132,10 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         Command::Record(with) => (record::run(&directory, with)?, Exit::Ok),
         Command::Plot(with) => (plot::run(with)?, Exit::Ok),
     };
-    output::write(&text)?;
+    match output::write(&text) {
+        // What was done was done, whoever could not be told so.
+        Err(failure) if arguments.command.acts() => eprintln!("vpcctl: {failure}: {}", text.trim()),
+        written => written?,
+    }
     Ok(exit)
 }

@@ -1,9 +1,11 @@
 //! Whether a daemon serves a domain, found out without joining it.
 
+use std::io::ErrorKind;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use ipc::Domain;
+use program::Exit;
 
 use crate::failure::Failure;
 
@@ -13,13 +15,39 @@ const FILE: &str = "vpcd.pid";
 /// Joins a domain that exists.
 ///
 /// # Errors
-/// [`Exit::NoDaemon`](program::Exit) where the directory does not exist, which joining would
-/// create; [`ipc::JoinError`].
+/// [`absent`] where the directory does not exist, which joining would create, or is another user's;
+/// [`ipc::JoinError`].
 pub fn join(directory: &Path) -> Result<Domain, Failure> {
     match Presence::of(directory) {
-        Presence::NoDomain => Err(Failure::no_daemon(directory)),
+        Presence::NoDomain | Presence::Foreign(_) => Err(absent(directory)),
         _ => Ok(Domain::join(directory)?),
     }
+}
+
+/// That no daemon is known to be at work in this domain: there is none, or nobody may look.
+pub fn absent(directory: &Path) -> Failure {
+    let domain = directory.display();
+    let (exit, message) = match Presence::of(directory) {
+        Presence::Foreign(owner) => {
+            let [owner, whom] =
+                owner.map_or(["another user", "root"].map(str::to_owned), |owner| {
+                    let whom = format!("sudo -u '#{owner}' vpcctl --domain {domain} ...");
+                    [format!("user {owner}"), whom]
+                });
+            let message = format!(
+                "domain {domain}: that of {owner}; NOTHING WAS DONE: this user may not even see whether a vpcd is at work \
+                 there; ask {owner}, or {whom}"
+            );
+            (Exit::NoPermission, message)
+        }
+        _ => {
+            let message = format!(
+                "domain {domain}: no vpcd is at work; start it (vpcd --domain {domain} ...), or name its domain with --domain"
+            );
+            (Exit::NoDaemon, message)
+        }
+    };
+    Failure::new(exit, message)
 }
 
 /// The daemon of a domain.
@@ -27,6 +55,8 @@ pub fn join(directory: &Path) -> Result<Domain, Failure> {
 pub enum Presence {
     /// There is no such directory.
     NoDomain,
+    /// The domain is that of this other user, where the number is known, and we may not look.
+    Foreign(Option<u32>),
     /// The directory exists; no daemon has claimed it.
     NoDaemon,
     /// The daemon's process id.
@@ -37,13 +67,20 @@ impl Presence {
     /// Looks for the daemon of the domain in this directory. The lock is looked up in `/proc/locks`
     /// and never tried: a daemon that starts at that instant would find it taken.
     pub fn of(directory: &Path) -> Self {
-        if !directory.is_dir() {
-            return Self::NoDomain;
-        }
+        let owner = match std::fs::metadata(directory) {
+            Ok(found) if found.is_dir() => found.uid(),
+            Err(error) if error.kind() == ErrorKind::PermissionDenied => {
+                return Self::Foreign(None);
+            }
+            _ => return Self::NoDomain,
+        };
         let file = directory.join(FILE);
-        let written = std::fs::read_to_string(&file)
-            .ok()
-            .and_then(|text| text.trim().parse().ok());
+        let written = match std::fs::read_to_string(&file) {
+            Err(error) if error.kind() == ErrorKind::PermissionDenied && !is_ours(owner) => {
+                return Self::Foreign(Some(owner));
+            }
+            text => text.ok().and_then(|text| text.trim().parse().ok()),
+        };
         // Some file systems show another inode in the table; then the process's name decides.
         let inode = std::fs::metadata(&file).map_or(0, |found| found.ino());
         let locks = std::fs::read_to_string("/proc/locks").unwrap_or_default();
@@ -61,15 +98,18 @@ impl Presence {
     }
 }
 
+fn is_ours(owner: u32) -> bool {
+    owner == rustix::process::geteuid().as_raw()
+}
+
 /// The daemons of this user: process ids, and the directories of their domains, wherever they were
 /// moved; `None` where the directory was removed.
 pub fn at_work() -> Vec<(u32, Option<PathBuf>)> {
-    let us = rustix::process::geteuid().as_raw();
     let entries = std::fs::read_dir("/proc").into_iter().flatten().flatten();
     let processes = entries.filter_map(|entry| {
         let process = entry.file_name().to_str()?.parse().ok()?;
-        let is_ours = entry.metadata().is_ok_and(|found| found.uid() == us);
-        (is_ours && is_daemon(process)).then_some(process)
+        let is_one_of_ours = entry.metadata().is_ok_and(|found| is_ours(found.uid()));
+        (is_one_of_ours && is_daemon(process)).then_some(process)
     });
     let mut found: Vec<_> = processes
         .filter_map(|process| Some((process, domain_of(process)?)))

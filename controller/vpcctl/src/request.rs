@@ -68,7 +68,7 @@ pub fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Re
 
 fn no_answer(directory: &Path, timeout: Duration) -> Failure {
     let Some(process) = Presence::of(directory).process() else {
-        return Failure::no_daemon(directory);
+        return presence::absent(directory);
     };
     let (domain, seconds) = (directory.display(), timeout.as_secs_f64());
     let message = format!(

@@ -39,11 +39,16 @@ pub fn stop(directory: &Path, timeout: Duration) -> Result<(String, Exit), Failu
             Err(error) => break error,
         }
     };
-    match (Presence::of(directory).process(), &error) {
-        (Some(process), _) => by_request(directory, process, &error, left()),
-        (None, StopError::NotObeyed { .. }) => Err(Failure::new(Exit::NoDaemon, error)),
-        (None, _) => {
-            let failure = Failure::no_daemon(directory);
+    match (Presence::of(directory), &error) {
+        (Presence::Process(process), _) => by_request(directory, process, &error, left()),
+        // We may write the file, and not look for its daemon.
+        (Presence::Foreign(_), StopError::NotObeyed { .. }) => {
+            Err(Failure::new(Exit::NoAnswer, error))
+        }
+        (_, StopError::NotObeyed { .. }) => Err(Failure::new(Exit::NoDaemon, error)),
+        (Presence::Foreign(_), _) => Err(presence::absent(directory)),
+        _ => {
+            let failure = presence::absent(directory);
             let others = elsewhere();
             match others.is_empty() {
                 true => Err(failure),

@@ -14,7 +14,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use scene::Scene;
 
 use crate::failure::Failure;
-use crate::presence::Presence;
+use crate::presence::{self, Presence};
 use crate::settings::Settings;
 
 /// What builds memories.
@@ -57,7 +57,7 @@ impl Daemon {
         });
         Ok(Self {
             directory: directory.to_owned(),
-            process: process.ok_or_else(|| Failure::no_daemon(directory))?,
+            process: process.ok_or_else(|| presence::absent(directory))?,
             scene: scene?,
             memory: settings.memory,
         })

@@ -8,7 +8,7 @@ use messages::{Action, Reply};
 
 use super::Status;
 use crate::failure::Failure;
-use crate::presence::Presence;
+use crate::presence::{self, Presence};
 use crate::request;
 use crate::watcher::Watcher;
 
@@ -48,7 +48,7 @@ pub fn look(directory: &Path, watch: Duration, asking: Asking) -> Result<Status,
     status.process = Presence::of(directory).process();
     let is_silent = status.reply.is_none() && status.view.latest().is_none();
     match status.process.is_none() && is_silent {
-        true => Err(Failure::no_daemon(directory)),
+        true => Err(presence::absent(directory)),
         false => Ok(status),
     }
 }

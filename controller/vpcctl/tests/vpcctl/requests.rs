@@ -1,7 +1,11 @@
 //! `arm`, `disarm`, `stop`, `strategy`, `flight`.
 
+use std::os::unix::fs::DirBuilderExt;
+use std::path::Path;
+
 use ipc::{Domain, Observer};
 use messages::CycleRecord;
+use testkit::Place;
 
 use vpcctl::status::Status;
 use vpcctl::watcher::Watcher;
@@ -84,6 +88,27 @@ fn stop_needs_no_observers_place() {
 }
 
 #[test]
+fn a_stop_that_cannot_be_told_is_done_all_the_same() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let mut shell = testkit::command("sh");
+    shell.args([
+        "-c",
+        "exec \"$@\" >/dev/full",
+        "sh",
+        env!("CARGO_BIN_EXE_vpcctl"),
+    ]);
+    shell.arg("--domain").arg(directory.path());
+    let output = shell.args(["stop", "--timeout", "20"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert!(
+        stderr(&output).contains("stop: done"),
+        "{}",
+        stderr(&output)
+    );
+}
+
+#[test]
 fn a_daemon_that_does_not_answer_is_told_from_none() {
     let directory = tempfile::tempdir().unwrap();
     let ask = || vpcctl(directory.path(), &["stop", "--timeout", "0.1"]);
@@ -151,6 +176,60 @@ fn nothing_is_created_where_no_domain_is() {
         assert!(stderr(&output).contains("no vpcd is at work"));
     }
     assert!(!missing.exists());
+}
+
+/// Root plays the owner, or is one: the domain of any other user who is no root is its own.
+#[test]
+fn the_domain_of_another_user_is_not_called_empty() {
+    let place = Place::for_all_users();
+    let domain = place.domain();
+    std::fs::DirBuilder::new()
+        .mode(0o700)
+        .create(&domain)
+        .unwrap();
+    let _daemon = StandIn::sound(&domain);
+    let is_root = rustix::process::geteuid().is_root();
+    let program = place.path("vpcctl");
+    // By another process: a child that a test forks meanwhile would hold a file that is written.
+    let mut copy = testkit::command("cp");
+    let copied = copy
+        .arg(env!("CARGO_BIN_EXE_vpcctl"))
+        .arg(&program)
+        .status();
+    assert!(copied.unwrap().success());
+    for (directory, owner) in [
+        (&*domain, "user 0"),
+        (&domain.join("below"), "another user"),
+    ] {
+        for words in ["stop", "status", "arm", "disarm"] {
+            let mut command = match is_root {
+                true => testkit::command("setpriv"),
+                false => testkit::command(&program),
+            };
+            if is_root {
+                let nobody = ["--reuid=65534", "--regid=65534", "--clear-groups"];
+                command.args(nobody).arg(&program);
+            }
+            command.arg("--domain").arg(if is_root {
+                directory
+            } else {
+                Path::new("/root")
+            });
+            let output = command.arg(words).output().unwrap();
+            assert_eq!(
+                output.status.code(),
+                Some(77),
+                "{words}: {}",
+                stderr(&output)
+            );
+            let said = stderr(&output);
+            let words = format!(
+                "that of {}; NOTHING WAS DONE",
+                if is_root { owner } else { "user 0" }
+            );
+            assert!(said.contains(&words), "{said}");
+        }
+    }
 }
 
 #[test]
