@@ -61,7 +61,7 @@ pub struct Arguments {
     #[arg(long)]
     pub arm: bool,
 
-    /// After a SIGHUP vpcd begins itself again with this: disarmed, whatever else is said, after so
+    /// After a SIGUSR2 vpcd begins itself again with this: disarmed, whatever else is said, after so
     /// many stops.
     #[arg(long, value_name = "STOPS", hide = true)]
     pub again: Option<u32>,

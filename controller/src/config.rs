@@ -96,9 +96,17 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] names file or flag, key, value and what is allowed.
     pub fn read(arguments: &Arguments) -> Result<Self, ConfigError> {
-        let (_, config, document) = source(arguments)?;
+        Ok(Self::read_whole(arguments)?.0)
+    }
+
+    /// As [`Config::read`], with what [`Config::print`] returns, both of one reading.
+    ///
+    /// # Errors
+    /// As [`Config::read`].
+    pub fn read_whole(arguments: &Arguments) -> Result<(Self, String), ConfigError> {
+        let (tables, config, document) = source(arguments)?;
         document.readable(&["scene", "memory"])?;
-        Ok(config)
+        Ok((config, printed(tables, arguments)?))
     }
 
     /// Checks the text of a configuration with flags over it; `path` is for messages, and paths in
@@ -137,21 +145,25 @@ impl Config {
     /// # Errors
     /// As [`Config::read`]: only a valid configuration is printed.
     pub fn print(arguments: &Arguments) -> Result<String, ConfigError> {
-        let (mut tables, ..) = source(arguments)?;
-        let paths = [
-            &mut tables.memory,
-            &mut tables.ipc.domain,
-            &mut tables.flight.directory,
-        ];
-        for path in paths.into_iter().flatten().chain([&mut tables.scene]) {
-            // Only the empty path has no absolute one; it is no file either way.
-            *path = std::path::absolute(&*path).unwrap_or_default();
-        }
-        toml::to_string(&tables).map_err(|error| ConfigError::Syntax {
-            path: named(arguments),
-            message: error.to_string(),
-        })
+        printed(source(arguments)?.0, arguments)
     }
+}
+
+/// These tables as TOML, with absolute paths.
+fn printed(mut tables: Tables, arguments: &Arguments) -> Result<String, ConfigError> {
+    let paths = [
+        &mut tables.memory,
+        &mut tables.ipc.domain,
+        &mut tables.flight.directory,
+    ];
+    for path in paths.into_iter().flatten().chain([&mut tables.scene]) {
+        // Only the empty path has no absolute one; it is no file either way.
+        *path = std::path::absolute(&*path).unwrap_or_default();
+    }
+    toml::to_string(&tables).map_err(|error| ConfigError::Syntax {
+        path: named(arguments),
+        message: error.to_string(),
+    })
 }
 
 /// Where a configuration comes from, in messages: its file or the command line.

@@ -24,7 +24,8 @@ use crate::published::Published;
 use crate::reload::{Again, Reload, Successor};
 use crate::report::{Report, ReportError};
 use crate::service::{Notifier, Progress, Service, ServiceError};
-use crate::shutdown::{Hangup, Stop};
+use crate::shutdown::{Renewal, Stop};
+use crate::start::{Start, StartError};
 use crate::summary::Summary;
 use crate::telemetry::{RecorderError, Telemetry};
 use crate::{log, preflight, realtime, replay, stack};
@@ -62,11 +63,22 @@ pub enum Failure {
     Signals(std::io::Error),
     #[error("cannot begin again: {0}")]
     Again(std::io::Error),
+    #[error("cannot leave what was checked: {0}")]
+    Leave(std::io::Error),
     #[error("{most} commands in a row could not be sent; the last: {source}")]
     Send {
         most: u32,
         source: ipc::PublishError,
     },
+}
+
+impl From<StartError> for Failure {
+    fn from(error: StartError) -> Self {
+        match error {
+            StartError::Config(error) => error.into(),
+            StartError::Load(error) => error.into(),
+        }
+    }
 }
 
 impl Failure {
@@ -77,7 +89,7 @@ impl Failure {
             Self::Load(error) => error.into(),
             Self::Service(_) | Self::Instance(InstanceError::NoState) => Exit::Config,
             Self::Join(_) | Self::Instance(_) | Self::Open(_) | Self::Stop(_) => Exit::Unavailable,
-            Self::Report(_) => Exit::CannotCreate,
+            Self::Report(_) | Self::Leave(_) => Exit::CannotCreate,
             Self::Recorder(RecorderError::Join(_) | RecorderError::Open(_)) => Exit::Unavailable,
             Self::Recorder(_) | Self::Log(_) => Exit::Software,
             Self::Signals(_) | Self::Again(_) | Self::Send { .. } => Exit::Software,
@@ -118,9 +130,9 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 }
 
 /// Lets the successor begin, if there is to be one, after so many stops.
-fn begin_again(successor: Option<(Successor, u32)>) -> Result<(), Failure> {
-    successor.map_or(Ok(()), |(successor, stops)| {
-        Err(Failure::Again(successor.begin(stops)))
+fn begin_again(successor: Option<(Successor, u32, Again)>) -> Result<(), Failure> {
+    successor.map_or(Ok(()), |(successor, stops, again)| {
+        Err(Failure::Again(successor.begin(stops, again)))
     })
 }
 
@@ -175,18 +187,23 @@ fn preflight(arguments: &Arguments) -> Exit {
 ///
 /// # Errors
 /// [`Failure`], with its cause.
-pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32)>, Failure> {
-    // First of all: a hang-up while the memory is read must not kill.
+pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Failure> {
+    // First of all: a request to begin again while the memory is read must not kill.
     let (start_up, stop) = Stop::by_signals().map_err(Failure::Signals)?;
-    let hangup = Hangup::by_signal().map_err(Failure::Signals)?;
+    let renewal = Renewal::by_signals().map_err(Failure::Signals)?;
     let dump = DumpRequest::by_signal().map_err(Failure::Signals)?;
-    let config = Config::read(arguments)?;
-    let loaded = Loaded::open(&config.scene, config.memory.as_deref(), config.settings)?;
-    let rate_hz = loaded.scene().camera.rate_hz;
-    let (room, source) = (realtime::memory_bytes(), config::named(arguments));
-    let rules = config.rules(loaded.scene(), &source)?;
+    let (start, lost) = match arguments.again {
+        Some(_) if !arguments.check_only => Start::again(arguments)?,
+        _ => (Start::read(arguments)?, None),
+    };
+    if arguments.check_only && arguments.again.is_some() {
+        start.leave().map_err(Failure::Leave)?;
+        return Ok(None);
+    }
+    let (config, printed, loaded) = start.into_parts();
+    let rules = config.rules(loaded.scene(), &config::named(arguments))?;
     let mut control = loaded.control(rules)?;
-    Recorder::check_room(&config.flight, rate_hz, room, source)?;
+    let rate_hz = loaded.scene().camera.rate_hz;
     if arguments.check_only {
         println!("{}", describe(&config, &loaded, config.safety.armed));
         if let Some(warning) = loaded.warning() {
@@ -200,6 +217,9 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32)>, Failure> {
     let log = log::start(&config).map_err(Failure::Log)?;
     let domain = Domain::join(&config.domain)?;
     drop(start_up);
+    if let Some(why) = &lost {
+        tracing::error!("begins with its files as they were checked before: {why}");
+    }
     let begins_armed = config.safety.armed && config.clock != ClockMode::Lockstep;
     let state = begins_armed.then(instance::state_directory).transpose()?;
     let mut instance = Instance::claim(domain.directory(), state.as_deref())?;
@@ -207,15 +227,16 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32)>, Failure> {
         control.begin_again(stops);
         instance.follow();
     }
-    if let (Some(process), true) = (&instance.unclean, config.clock != ClockMode::Lockstep) {
+    let unclean = instance.unclean.clone();
+    let unclean = unclean.filter(|_| config.clock != ClockMode::Lockstep);
+    if let Some(process) = &unclean {
         control.begin_disarmed(Hold::Unclean);
         tracing::warn!(
             "process {process}, a vpcd of this domain, was killed or crashed, and nobody has armed since: begins disarmed"
         );
     }
     let ports = ControllerPorts::open(&domain)?;
-    let stop_file = StopFile::open(domain.directory())?;
-    let printed = Config::print(arguments)?;
+    let mut stop_file = StopFile::open(domain.directory())?;
     let published = publish(&loaded, &printed, domain.directory());
     let (producer, consumer) = flight::queue();
     let (progress, again) = (Progress::default(), Again::default());
@@ -232,12 +253,13 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32)>, Failure> {
             again.clone(),
             Instant::now(),
         ),
-        reload: Reload::new(hangup, stop.clone(), again.clone()),
+        reload: Reload::new(renewal, stop.clone(), again.clone()),
         arm: loaded.scene().arm.clone(),
     };
     let recorder = telemetry.start(&config.domain)?;
     let successor = Successor::ready().map_err(Failure::Again)?;
-    let is_armed = config.safety.armed && arguments.again.is_none();
+    let is_disarmed = arguments.again.is_some() || unclean.is_some() || stop_file.is_asked();
+    let is_armed = config.safety.armed && !is_disarmed;
     tracing::info!("{}", describe(&config, &loaded, is_armed));
     if let Some(warning) = loaded.warning() {
         tracing::warn!("{warning}");
@@ -295,7 +317,7 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32)>, Failure> {
         // So that no arming but one that names the stop moves the successor either.
         Asked::in_domain(domain.directory())?;
     }
-    Ok(Some((successor, stops)))
+    Ok(Some((successor, stops, again)))
 }
 
 /// Leaves scene and configuration in the domain, where viewers and recorders find them. They do

@@ -8,6 +8,7 @@
 //!
 //! - [`daemon`]: from the command line to the exit code
 //! - [`config`]: TOML and flags to a checked [`config::Config`]
+//! - [`start`]: the files that it begins with, also after it was asked to begin again ([`reload`])
 //! - [`cycle`]: the loop: wake, receive, decide, send, rehearse; [`clock`], [`pll`] set its releases
 //! - [`decision`]: decide: gate, law, robot watch, supervisor; a crate of pure functions, which a
 //!   replay repeats
@@ -37,6 +38,7 @@ pub mod report;
 pub mod service;
 pub mod shutdown;
 pub mod stack;
+pub mod start;
 pub mod summary;
 pub mod telemetry;
 pub mod usage;

@@ -56,19 +56,21 @@ impl Loaded {
         memory: Option<&Path>,
         settings: Settings,
     ) -> Result<Self, LoadError> {
+        let bytes = memory.map(MemoryFile::read).transpose()?;
+        let memory = memory.zip(bytes.as_deref());
         Self::of(SceneFiles::read(scene)?, memory, settings)
     }
 
-    /// As [`Loaded::open`], for a scene that was read before.
+    /// As [`Loaded::open`], for files that were read before; of the memory its path and its bytes.
     ///
     /// # Errors
     /// As [`Loaded::open`].
     pub fn of(
         files: SceneFiles,
-        memory: Option<&Path>,
+        memory: Option<(&Path, &[u8])>,
         settings: Settings,
     ) -> Result<Self, LoadError> {
-        let open = |file| open_memory(file, &files.scene, settings.strategy);
+        let open = |memory| open_memory(memory, &files.scene, settings.strategy);
         Ok(Self {
             memory: memory.map(open).transpose()?,
             files,
@@ -108,8 +110,12 @@ impl Loaded {
     }
 }
 
-fn open_memory(file: &Path, scene: &Scene, strategy: Strategy) -> Result<MemoryFile, LoadError> {
-    let memory = MemoryFile::open(file, Some(scene.fingerprint().bytes()))?;
+fn open_memory(
+    (file, bytes): (&Path, &[u8]),
+    scene: &Scene,
+    strategy: Strategy,
+) -> Result<MemoryFile, LoadError> {
+    let memory = MemoryFile::parse(bytes, file, Some(scene.fingerprint().bytes()))?;
     match law::has_memory(Some(&memory.view()), strategy) {
         true => Ok(memory),
         false => Err(LoadError::Lacking {

@@ -1,25 +1,28 @@
-//! SIGHUP: the daemon begins again with its files as they are now, and disarmed.
+//! SIGUSR2: the daemon begins again with its files as they are now, and disarmed.
 //!
 //! Another process of the same program checks the files (`--check-only`) while the loop goes on; if
-//! they are wrong, nothing changes. Then the daemon ends as by SIGTERM, and the process executes
-//! its program again: it keeps its number, so that a service manager knows it.
+//! they are wrong, nothing changes. It leaves what it has read on a memory file. Then the daemon
+//! ends as by SIGTERM, and the process executes its program again: it keeps its number, so that a
+//! service manager knows it. What was left is the new one's standard input, for where the files
+//! have changed for the worse meanwhile ([`crate::start`]).
 
 use std::ffi::OsString;
+use std::fs::File;
 use std::io;
 use std::os::unix::ffi::OsStringExt;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Sender};
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use signal_hook::consts::{SIGHUP, SIGUSR1};
+use rustix::fs::{MemfdFlags, memfd_create};
+use signal_hook::consts::SIGUSR1;
 use tracing::{error, info};
 
-use crate::shutdown::{Hangup, Stop};
+use crate::shutdown::{Renewal, Stop, renewing};
 
 /// Longest check of the files.
 const CHECK: Duration = Duration::from_secs(5);
@@ -28,10 +31,10 @@ const STACK: usize = 64 * 1024;
 /// What Linux adds to the path of a program that was replaced, by an update for instance.
 const REPLACED: &[u8] = b" (deleted)";
 
-/// Answers SIGHUP, in the ordinary thread.
+/// Answers a request to begin again, in the ordinary thread.
 #[derive(Debug, Default)]
 pub struct Reload {
-    hangup: Hangup,
+    renewal: Renewal,
     stop: Stop,
     again: Again,
     check: Option<Check>,
@@ -41,30 +44,32 @@ pub struct Reload {
 #[derive(Debug)]
 struct Check {
     process: Child,
+    /// What it has read.
+    checked: File,
     until: Instant,
 }
 
-/// Set once the daemon is to end in order to begin again.
+/// Set once the daemon is to end in order to begin again: the files that were checked.
 #[derive(Clone, Debug, Default)]
-pub struct Again(Arc<AtomicBool>);
+pub struct Again(Arc<OnceLock<File>>);
 
 impl Again {
-    /// Asks for it.
-    pub(crate) fn ask(&self) {
-        self.0.store(true, Ordering::Relaxed);
+    /// Asks for it, once.
+    pub(crate) fn ask(&self, checked: File) {
+        self.0.get_or_init(|| checked);
     }
 
     /// Whether it is to begin again.
     pub fn is_asked(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
+        self.0.get().is_some()
     }
 }
 
 impl Reload {
-    /// Answers `hangup` by `stop`, once `again` is set.
-    pub fn new(hangup: Hangup, stop: Stop, again: Again) -> Self {
+    /// Answers `renewal` by `stop`, once `again` is set.
+    pub fn new(renewal: Renewal, stop: Stop, again: Again) -> Self {
         Self {
-            hangup,
+            renewal,
             stop,
             again,
             check: None,
@@ -78,23 +83,23 @@ impl Reload {
         }
         let outcome = match self.check.as_mut() {
             Some(check) => check.outcome(),
-            None if self.hangup.take() => {
-                info!("SIGHUP: checks the files");
+            None if self.renewal.take() => {
+                info!("asked to begin again: checks the files");
                 Check::begin().map(|check| {
                     self.check = Some(check);
-                    false
+                    None
                 })
             }
             None => return,
         };
         match outcome {
-            Ok(false) => return,
-            Ok(true) => {
-                info!("SIGHUP: begins again with the files as they are now, disarmed");
-                self.again.ask();
+            Ok(None) => return,
+            Ok(Some(checked)) => {
+                info!("begins again with the files as they are now, disarmed");
+                self.again.ask(checked);
                 self.stop.ask();
             }
-            Err(why) => error!("SIGHUP: goes on with what it has read before: {why}"),
+            Err(why) => error!("goes on with what it has read before: {why}"),
         }
         self.check = None;
     }
@@ -103,20 +108,22 @@ impl Reload {
 impl Check {
     #[expect(clippy::disallowed_methods, reason = "it ends by itself")]
     fn begin() -> io::Result<Self> {
+        let checked = File::from(memfd_create("vpcd-checked", MemfdFlags::CLOEXEC)?);
         let mut command = Command::new(file()?);
         command.args(arguments(0)).arg("--check-only");
-        command.stdin(Stdio::null()).stdout(Stdio::null());
+        command.stdin(Stdio::null()).stdout(checked.try_clone()?);
         Ok(Self {
+            checked,
             process: command.stderr(Stdio::piped()).spawn()?,
             until: Instant::now() + CHECK,
         })
     }
 
-    /// Whether the files are good; `false` while that is not known.
-    fn outcome(&mut self) -> io::Result<bool> {
+    /// The files if they are good; `None` while that is not known.
+    fn outcome(&mut self) -> io::Result<Option<File>> {
         let Some(status) = self.process.try_wait()? else {
             if Instant::now() < self.until {
-                return Ok(false);
+                return Ok(None);
             }
             self.process.kill()?;
             self.process.wait()?;
@@ -124,7 +131,7 @@ impl Check {
             return Err(io::Error::new(io::ErrorKind::TimedOut, message));
         };
         if status.success() {
-            return Ok(true);
+            return self.checked.try_clone().map(Some);
         }
         let told = self.process.stderr.take().map(io::read_to_string);
         let told = told.transpose()?.unwrap_or_default();
@@ -136,7 +143,7 @@ impl Check {
 /// of the thread by which it begins.
 #[derive(Debug)]
 pub struct Successor {
-    go: Sender<u32>,
+    go: Sender<(u32, Again)>,
     thread: JoinHandle<Option<io::Error>>,
 }
 
@@ -155,9 +162,9 @@ impl Successor {
     }
 
     /// Executes the program again, after so many stops; of this one nothing is left but its
-    /// process.
-    pub fn begin(self, stops: u32) -> io::Error {
-        let _ = self.go.send(stops);
+    /// process, and what was checked.
+    pub fn begin(self, stops: u32, again: Again) -> io::Error {
+        let _ = self.go.send((stops, again));
         let why = self.thread.join().ok().flatten();
         why.unwrap_or_else(|| io::Error::other("the thread that begins again died"))
     }
@@ -165,11 +172,18 @@ impl Successor {
 
 /// Executes the program again; returns only if that failed.
 #[expect(clippy::disallowed_methods, reason = "it begins no child")]
-fn execute(stops: u32) -> io::Error {
-    // Until the new one listens, they would end it.
-    let ignored = [SIGHUP, SIGUSR1].into_iter().try_for_each(program::ignore);
-    match ignored.and_then(|()| file()) {
-        Ok(file) => Command::new(file).args(arguments(stops)).exec(),
+fn execute((stops, again): (u32, Again)) -> io::Error {
+    let prepared = || {
+        // Until the new one listens, they would end it.
+        renewing().chain([SIGUSR1]).try_for_each(program::ignore)?;
+        let checked = again.0.get().map(File::try_clone).transpose()?;
+        Ok((file()?, checked.map_or_else(Stdio::null, Stdio::from)))
+    };
+    match prepared() {
+        Ok((file, checked)) => Command::new(file)
+            .args(arguments(stops))
+            .stdin(checked)
+            .exec(),
         Err(error) => error,
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use decision::snapshot::SnapshotError;
 use decision::{Rules, contract};
-use memory_blob::hex;
+use memory_blob::{MemoryFile, hex};
 use messages::{CycleRecord, StrategyCode};
 use program::Exit;
 use recording::{CONFIG_FILE, ReadError, Recorded, Recording, SCENE_FILE};
@@ -137,7 +137,9 @@ fn load(
     let files = files.map_err(LoadError::from)?;
     let config = config(recording, arguments)?;
     let memory = config.memory.as_deref();
-    let loaded = Loaded::of(files, memory, config.settings)?;
+    let bytes = memory.map(MemoryFile::read).transpose();
+    let bytes = bytes.map_err(LoadError::from)?;
+    let loaded = Loaded::of(files, memory.zip(bytes.as_deref()), config.settings)?;
     if let (Some(found), Some(expected)) = (&loaded.memory, recording.origin(origin::MEMORY_SHA256))
         && hex(found.digest()) != expected
     {

@@ -302,7 +302,7 @@ fn who_ends_without_being_asked_says_so_too() {
 #[test]
 fn who_begins_again_is_reloading_and_not_stopping() {
     let mut talk = Talk::begin(None);
-    talk.again.ask();
+    talk.again.ask(tempfile::tempfile().unwrap());
     talk.stop.ask();
     let heard = talk.watch(Duration::from_millis(100), true);
     assert_eq!(at(&heard, "RELOADING=1"), [LOOK]);

@@ -165,7 +165,7 @@ fn is_reloaded(machine: &Machine) {
     machine.must("systemctl reload vpcd");
     eventually("a new beginning", || {
         let log = machine.must("journalctl --no-pager --unit=vpcd");
-        let (_, since) = log.split_once("SIGHUP: begins again")?;
+        let (_, since) = log.split_once("begins again with the files")?;
         since.contains("disarmed: not armed").then_some(())
     });
     eventually("the service is active", || {

@@ -1,4 +1,4 @@
-//! SIGHUP under real-time scheduling (root only).
+//! A reload under real-time scheduling (root only).
 
 use std::path::Path;
 
@@ -25,7 +25,7 @@ fn threads_are_scheduled_as_before() {
         scheduling(Path::new(&path))
     };
     let before = ["vpcd", "recorder"].map(scheduled);
-    daemon.signal(Signal::HUP);
+    daemon.signal(Signal::USR2);
     manager.until("RELOADING=1");
     manager.until("READY=1");
     assert_eq!(["vpcd", "recorder"].map(scheduled), before);

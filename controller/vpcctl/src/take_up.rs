@@ -128,7 +128,7 @@ impl Daemon {
         let told = self.directory.join(ipc::SCENE_FILE);
         let written = |told: &Path| fs::metadata(told)?.modified();
         let before = written(&told).ok();
-        kill_process(self.process, Signal::HUP).map_err(|error| refused(&error.to_string()))?;
+        kill_process(self.process, Signal::USR2).map_err(|error| refused(&error.to_string()))?;
         let end = Instant::now() + PATIENCE;
         while Instant::now() < end && !stop.load(Ordering::Relaxed) {
             // While it begins there is none.
