@@ -15,6 +15,11 @@ class Code(enum.IntEnum):
         code._value_, code.words = number, words
         return code
 
+    @classmethod
+    def knows(cls, number: int) -> bool:
+        """Whether a code has this number; numbers that are not used any more are gaps."""
+        return number in cls._value2member_map_
+
 
 class Message(ctypes.Structure):
     """A structure of the contract."""

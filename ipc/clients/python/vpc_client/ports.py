@@ -57,8 +57,9 @@ def check(service: str, message: Any, sequenced: bool = True) -> None:
             for i in range(used):
                 if not math.isfinite(value[i]):
                     raise BadMessage(f"{service}: {field}[{i}] = {value[i]}; allowed: finite numbers")
-        elif value >= len(rule):
-            raise BadMessage(f"{service}: {field} = {value}; allowed: 0 to {len(rule) - 1}")
+        elif not rule.knows(value):
+            allowed = ", ".join(f"{int(code)} {code.words}" for code in rule)
+            raise BadMessage(f"{service}: {field} = {value}; allowed: {allowed}")
 
 
 def now_ns() -> int:

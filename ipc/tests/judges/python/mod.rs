@@ -14,8 +14,8 @@ use std::process::{Command, Stdio};
 
 use ipc::{CameraPorts, ControllerPorts, Domain, Observer, RecorderPort};
 use messages::{
-    Action, CycleRecord, Encoding, Features, Hold, ImageHeader, Outcome, Payload, Qos, Reply,
-    RobotMode, RobotState, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
+    Action, CycleRecord, Encoding, Features, Hold, ImageHeader, Meaning, Outcome, Payload, Qos,
+    Reply, RobotMode, RobotState, Stamp, StrategyCode, Struct, TwistCommand, TwistState,
 };
 
 use testkit::python::{Environment, run};
@@ -367,6 +367,31 @@ fn refusals_have_words(python: &Path) {
     assert_eq!(Domain::segments(&place.domain()).unwrap(), 0);
 }
 
+/// Each code of each field is taken, and each other number refused.
+fn codes_agree(python: &Path) {
+    let theirs = run(script(python, "tests/judges/python/peer.py").arg("codes")).unwrap();
+    let theirs: BTreeSet<&str> = theirs.lines().collect();
+    let fields = messages::SERVICES.iter().flat_map(|service| {
+        let Struct { name, fields, .. } = service.message;
+        fields.iter().map(move |field| (name, field))
+    });
+    let ours: BTreeSet<String> = fields
+        .filter_map(|(message, field)| {
+            let (Meaning::Code(table) | Meaning::AnyCode(table)) = field.meaning else {
+                return None;
+            };
+            let taken = table.names.iter().map(|code| format!(" {}", code.number));
+            Some(format!(
+                "{message}.{}{}",
+                field.name,
+                taken.collect::<String>()
+            ))
+        })
+        .collect();
+    assert!(ours.len() > 20, "{ours:?}");
+    assert_eq!(theirs, ours.iter().map(String::as_str).collect());
+}
+
 fn bad_messages_are_refused(python: &Path) {
     let place = Place::new();
     let domain = Domain::join(&place.domain()).unwrap();
@@ -387,7 +412,7 @@ fn bad_messages_are_refused(python: &Path) {
     let expected = [
         "listening",
         "vpc/twist: twist[3] = inf; allowed: finite numbers",
-        "vpc/twist: state = 77; allowed: 0 to 5",
+        "vpc/twist: state = 77; allowed: 0 stopped, 1 moving, 2 arrived, 3 holding, 4 braking, 5 disarmed",
         "good 3",
     ];
     assert_eq!(stdout.lines().collect::<Vec<_>>(), expected);
@@ -442,7 +467,7 @@ fn images_go_both_ways(python: &Path) {
     send(mono, 3, 8, mono.code());
     peer.line("image (3, 5) (8, 1) 45");
     send(mono, 3, 8, 9);
-    peer.line("refused vpc/image: encoding = 9; allowed: 0 to 3");
+    peer.line("refused vpc/image: encoding = 9; allowed: 0 mono8, 1 bgr8, 2 rgb8, 3 yuyv");
     send(rgb, 2, 20, rgb.code());
     peer.line("image (3, 5, 3) (20, 3, 1) 90");
     send(Encoding::Yuyv, 4, 10, Encoding::Yuyv.code());
@@ -645,6 +670,7 @@ fn the_client_in_python_refuses_what_breaks_the_contract() {
         Environment::JUDGES.python("the_client_in_python_refuses_what_breaks_the_contract")
     {
         refusals_have_words(&python);
+        codes_agree(&python);
         bad_messages_are_refused(&python);
     }
 }

@@ -17,6 +17,30 @@ def layout():
             print(f"{message.__name__}.{name}", field.offset, field.size)
 
 
+def codes():
+    """The numbers up to 99 that each field of codes may have."""
+    from vpc_client.messages import CHECKS
+    from vpc_client.ports import check
+
+    def is_taken(kind, field, number):
+        message = kind()
+        for counted, rule in CHECKS[kind].items():
+            if isinstance(rule, tuple):
+                setattr(message, counted, rule[0])
+        setattr(message, field, number)
+        try:
+            check("service", message, sequenced=False)
+        except vpc_client.BadMessage as error:
+            assert f" {field} = " in str(error), error
+            return False
+        return True
+
+    for kind in {service.message for service in vpc_client.SERVICES.values()}:
+        for field, rule in CHECKS[kind].items():
+            if isinstance(rule, type):
+                print(f"{kind.__name__}.{field}", *(number for number in range(100) if is_taken(kind, field, number)))
+
+
 def exchange(directory):
     """Sends features and a robot's state, receives a twist and a cycle's record, and prints what came."""
     with vpc_client.Domain(directory) as domain:
@@ -210,5 +234,5 @@ def depths(directory):
 
 
 if __name__ == "__main__":
-    parts = (layout, exchange, refusals, hears, images, safety, depths)
+    parts = (layout, codes, exchange, refusals, hears, images, safety, depths)
     {part.__name__: part for part in parts}[sys.argv[1]](*sys.argv[2:])
