@@ -11,7 +11,7 @@ use clap::FromArgMatches;
 use program::{Exit, StartUp, publish};
 use vpc_camera::config::{Arguments, Command, Config};
 use vpc_camera::metrics::Metrics;
-use vpc_camera::run::{Event, Report, RunError, run};
+use vpc_camera::run::{Event, Report, run};
 use vpc_camera::{mask, pattern, sheet};
 
 /// The program's name, for messages.
@@ -86,13 +86,7 @@ fn watch(config: Config, start_up: StartUp, stop: Arc<AtomicBool>, is_printed: b
     log.end();
     match worker.join() {
         Ok(Ok(())) => ExitCode::SUCCESS,
-        Ok(Err(error)) => {
-            let exit = match error {
-                RunError::Size { .. } => Exit::Config,
-                _ => Exit::Unavailable,
-            };
-            exit.say(NAME, error)
-        }
+        Ok(Err(error)) => Exit::Unavailable.say(NAME, error),
         Err(_) => Exit::Software.say(NAME, "a defect; without features vpcd stops the camera"),
     }
 }
@@ -107,6 +101,7 @@ struct Log {
     seen: Instant,
     is_silent: bool,
     misplaced: Option<Instant>,
+    missized: Option<Instant>,
 }
 
 impl Log {
@@ -121,6 +116,7 @@ impl Log {
             seen: now,
             is_silent: false,
             misplaced: None,
+            missized: None,
         }
     }
 
@@ -128,6 +124,7 @@ impl Log {
         match event {
             Event::Lacks(what) => tracing::warn!("DEGRADED, not real time: {what}"),
             Event::Mask(warning) => tracing::warn!("{warning}"),
+            Event::Size { found, expected } => self.size(*found, *expected),
             Event::Frame(report) => self.frame(report),
         }
         self.look();
@@ -143,12 +140,19 @@ impl Log {
             print(report);
         }
         if let Some((number, px)) = report.found.misplaced
-            && self.misplaced.is_none_or(|last| last.elapsed() > SELDOM)
+            && is_due(&mut self.misplaced)
         {
-            self.misplaced = Some(Instant::now());
             tracing::warn!(
                 "tag {number} is {px:.0} px from where the scene's pattern has it, beside the others: is the pattern that of \
                  the scene, is marker_size its size with the white border, are there other tags of these numbers?"
+            );
+        }
+    }
+
+    fn size(&mut self, [width, height]: [usize; 2], [w, h]: [usize; 2]) {
+        if is_due(&mut self.missized) {
+            tracing::warn!(
+                "an image of {width} x {height} px is passed over; allowed: {w} x {h} px, the size of the scene's camera"
             );
         }
     }
@@ -181,6 +185,15 @@ impl Log {
         self.write();
         tracing::info!("stopped: {}", self.metrics.line());
     }
+}
+
+/// Whether a line about a thing is due, of which the last came at that time.
+fn is_due(last: &mut Option<Instant>) -> bool {
+    let is_due = last.is_none_or(|last| last.elapsed() > SELDOM);
+    if is_due {
+        *last = Some(Instant::now());
+    }
+    is_due
 }
 
 fn print(report: &Report) {

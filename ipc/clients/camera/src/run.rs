@@ -32,11 +32,6 @@ pub enum RunError {
     Source(#[from] SourceError),
     #[error(transparent)]
     Tags(#[from] TagError),
-    #[error("images of {} x {} px; allowed: {} x {} px, the size of the scene's camera", found[0], found[1], expected[0], expected[1])]
-    Size {
-        found: [usize; 2],
-        expected: [usize; 2],
-    },
 }
 
 /// What became of an image.
@@ -63,6 +58,13 @@ pub struct Report {
 pub enum Event {
     /// An image became features.
     Frame(Report),
+    /// An image has another size, px, than the scene's camera: it has no features.
+    Size {
+        /// Width and height of the image.
+        found: [usize; 2],
+        /// Width and height of the scene's camera.
+        expected: [usize; 2],
+    },
     /// Something of real time is missing.
     Lacks(String),
     /// The scene's occlusions are not where the view is hidden.
@@ -124,7 +126,8 @@ pub fn run(
         let begin = Instant::now();
         let found = [frame.image.width(), frame.image.height()];
         if found != expected {
-            return Err(RunError::Size { found, expected });
+            tell(Event::Size { found, expected });
+            continue;
         }
         let found = finder.find(&frame.image, frame.sequence)?;
         let message = stamped(config, &frame, &found);

@@ -2,8 +2,10 @@
 
 use std::process::{Command, Stdio};
 
+use ipc::{Domain, Subscriber};
+use messages::{Encoding, Features, ImageHeader};
 use rustix::process::Signal;
-use testkit::{Place, Running, program, root};
+use testkit::{Place, Running, eventually, program, root};
 
 fn camera() -> Command {
     testkit::command(env!("CARGO_BIN_EXE_vpc-camera"))
@@ -50,6 +52,41 @@ fn a_wrong_configuration_is_refused_by_name() {
     }
     let ended = testkit::ended(camera().arg("--nonsense"));
     assert_eq!(ended.code, Some(64));
+}
+
+#[test]
+fn an_image_of_another_size_is_passed_over() {
+    let place = Place::new();
+    let domain = Domain::join(&place.domain()).unwrap();
+    let mut images = domain.image_publisher(640 * 480).unwrap();
+    let mut features: Subscriber<Features> = domain.subscriber(1).unwrap();
+    let mut eye = camera();
+    let shipped = root().join("ipc/clients/camera/vpc-camera.toml");
+    eye.arg("--config")
+        .arg(shipped)
+        .arg("--domain")
+        .arg(place.domain());
+    eye.args(["--clock", "lockstep"]);
+    let eye = Running::start(eye.stderr(Stdio::piped()));
+    let mut send = |width, height| {
+        let header = ImageHeader::new(width, height, Encoding::Mono8, 1);
+        let mut image = images.loan(&header).unwrap();
+        image.fill(128);
+        images.publish(image).unwrap().sequence
+    };
+    let words = "an image of 320 x 240 px is passed over; allowed: 640 x 480 px";
+    eventually(words, || {
+        // Until it listens.
+        send(320, 240);
+        eye.stderr().contains(words).then_some(())
+    });
+    let good = send(640, 480);
+    let found = eventually("features", || features.latest().unwrap());
+    assert_eq!(found.stamp.sequence, good);
+    assert_eq!((found.count, found.visible), (4, 0));
+    let eye = eye.terminated();
+    assert_eq!(eye.code, Some(0), "{}", eye.stderr);
+    assert!(eye.stderr.contains("frames=1 "), "{}", eye.stderr);
 }
 
 #[test]
