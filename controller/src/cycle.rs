@@ -1,19 +1,18 @@
 //! The loop: wake, receive, decide, send, slack, rehearse. Nothing here allocates, logs, or waits
-//! without a bound.
+//! without a bound. What it meets outside is a [`World`].
 
 use decision::{Answer, ControlStep, Input, Inputs};
 use heapless::Vec;
-use ipc::{ControllerPorts, PublishError, ReceiveError, StopFile, now_ns, suspended_ns};
 use messages::{
-    Action, ClockMode, CycleFlags, CycleRecord, FUTURE_NS, Features, Order, Outcome, RealTime,
-    Received, Reply, Request, TwistCommand, TwistState,
+    Action, ClockMode, CycleFlags, CycleRecord, FUTURE_NS, Features, Outcome, RealTime, Reply,
+    Request, TwistCommand, TwistState,
 };
 
-use crate::clock::{Grid, sleep_until};
-use crate::flight::{DumpRequest, Producer};
+use crate::clock::Grid;
 use crate::pll::CameraPll;
 use crate::shutdown::Stop;
 use crate::usage::Usage;
+use crate::world::World;
 
 /// How long before its release a cycle is rehearsed, ns: several times what a decision takes, and
 /// so short that no other thread uses the caches in between.
@@ -27,7 +26,9 @@ const WAIT_NS: u64 = 5_000_000;
 
 /// Growth of the time suspended that is no error of its measurement, ns.
 const SUSPENDED_NS: u64 = 1_000_000;
-/// Answers to them and to the stop file.
+/// Commands in a row that may fail to be sent: a broken segment stays broken.
+pub const MOST_FAILURES: u32 = 30;
+/// Answers to all requests of a cycle and to the stop file.
 const REPLIES: usize = Request::PER_CYCLE + 1;
 
 /// How the loop runs.
@@ -41,16 +42,6 @@ pub struct Pace {
     pub margin_ns: u64,
     /// The real-time properties that the thread has. Under SCHED_FIFO polling only sleeps.
     pub realtime: RealTime,
-}
-
-/// What came from a port.
-fn input<T>(received: Result<Option<Received<T>>, ReceiveError>) -> Input<T> {
-    match received {
-        Ok(Some(received)) => Input::Message(received.message),
-        Ok(None) => Input::Nothing,
-        Err(ReceiveError::Invalid { stamp, .. }) => Input::Refused(stamp),
-        Err(ReceiveError::Transport { .. }) => Input::Failed,
-    }
 }
 
 /// Sleep before the next poll in lockstep, after so long a wait, ns: an eighth of it, so that a
@@ -69,20 +60,16 @@ pub fn is_late(request: &Request, now_ns: u64) -> bool {
     leads_to_motion && !is_in_time
 }
 
-/// The loop with all it owns. With other threads it shares the queue of its records and the flag
-/// for the flight record.
-pub struct Cycle<'m> {
+/// The loop in its world.
+pub struct Cycle<'m, W> {
+    world: W,
     pace: Pace,
-    ports: ControllerPorts,
-    stop_file: StopFile,
     /// Whether it asked for a stop that is not acknowledged yet.
     is_stopping: bool,
     control: ControlStep<'m>,
     grid: Grid,
     /// Moves the grid, in the clock `phase`.
     pll: Option<CameraPll>,
-    producer: Producer,
-    dump: DumpRequest,
     /// What stays the same in each record.
     blank: CycleRecord,
     count: u64,
@@ -99,27 +86,15 @@ pub struct Cycle<'m> {
     waits_since_ns: Option<u64>,
 }
 
-impl<'m> Cycle<'m> {
+impl<'m, W: World> Cycle<'m, W> {
     /// A loop that starts now.
-    pub fn new(
-        pace: Pace,
-        ports: ControllerPorts,
-        stop_file: StopFile,
-        control: ControlStep<'m>,
-        mut producer: Producer,
-        dump: DumpRequest,
-    ) -> Self {
-        producer.begin(&control, now_ns());
+    pub fn new(pace: Pace, mut world: W, control: ControlStep<'m>) -> Self {
         let is_phase = pace.clock == ClockMode::Phase;
         Self {
-            ports,
-            stop_file,
             is_stopping: false,
             control,
-            grid: Grid::new(now_ns(), pace.period_ns),
+            grid: Grid::new(world.now_ns(), pace.period_ns),
             pll: is_phase.then(|| CameraPll::new(pace.period_ns, pace.margin_ns)),
-            producer,
-            dump,
             blank: CycleRecord {
                 clock: pace.clock.code(),
                 realtime: pace.realtime.0,
@@ -127,12 +102,13 @@ impl<'m> Cycle<'m> {
             },
             count: 0,
             missed: 0,
-            suspended_ns: suspended_ns(),
+            suspended_ns: world.suspended_ns(),
             requests: 0,
             replies: Vec::new(),
-            woken: Usage::now(),
+            woken: Usage::default(),
             waits_since_ns: None,
             pace,
+            world,
         }
     }
 
@@ -161,17 +137,53 @@ impl<'m> Cycle<'m> {
         self.control.is_at_rest()
     }
 
-    /// Whether the ordinary thread, which takes the records, has ended.
-    pub fn is_unheard(&self) -> bool {
-        self.producer.is_abandoned()
+    /// Runs cycles until `stop` is asked for, or until there were `most`, and then until the camera
+    /// stands; in lockstep, where nothing moves between messages, no longer. Calls `advance` after
+    /// each.
+    ///
+    /// # Errors
+    /// [`World::Unsent`] of the last of [`MOST_FAILURES`] commands in a row that could not be sent.
+    pub fn turn(
+        &mut self,
+        stop: &Stop,
+        most: Option<u64>,
+        advance: impl Fn(),
+    ) -> Result<(), W::Unsent> {
+        let mut failures = 0;
+        let mut left = self.braking_cycles();
+        loop {
+            let is_over = most.is_some_and(|most| self.count >= most);
+            // Without telemetry, log and watchdog the camera would move unobserved.
+            if is_over || self.world.is_unheard() {
+                stop.ask();
+            }
+            if stop.is_asked() {
+                if left == 0 || self.is_at_rest() {
+                    return Ok(());
+                }
+                left -= 1;
+            }
+            match self.run(stop) {
+                Ok(_) => {
+                    failures = 0;
+                    advance();
+                }
+                Err(source) => {
+                    failures += 1;
+                    if failures >= MOST_FAILURES {
+                        return Err(source);
+                    }
+                }
+            }
+        }
     }
 
     /// One cycle; once `stop` is asked for it brakes. In lockstep `Ok(None)` if no message came
     /// within a few milliseconds.
     ///
     /// # Errors
-    /// [`PublishError`] if the command could not be sent; the camera then stops by its validity.
-    pub fn run(&mut self, stop: &Stop) -> Result<Option<CycleRecord>, PublishError> {
+    /// The command could not be sent; the camera then stops by its validity.
+    pub fn run(&mut self, stop: &Stop) -> Result<Option<CycleRecord>, W::Unsent> {
         let mut record = self.blank;
         let Some((woken_ns, features)) = self.wake(&mut record) else {
             self.take_requests();
@@ -181,14 +193,15 @@ impl<'m> Cycle<'m> {
         };
         let inputs = self.receive(features, stop);
         let answer = self.control.decide(&inputs, &mut record);
-        let decided_ns = now_ns();
+        let decided_ns = self.world.now_ns();
         self.control.sent_at(decided_ns);
         let sent = self.send(&answer, &mut record);
         record.stamp.data_ns = woken_ns;
         record.receive_ns = inputs.now_ns.saturating_sub(woken_ns);
         record.step_ns = decided_ns.saturating_sub(inputs.now_ns);
-        record.send_ns = now_ns().saturating_sub(decided_ns);
-        self.woken.record_usage(&mut record);
+        record.send_ns = self.world.now_ns().saturating_sub(decided_ns);
+        let usage = self.world.usage();
+        usage.record_since(&self.woken, &mut record);
         self.reply();
         if sent.is_ok() {
             self.acknowledge_stop();
@@ -200,7 +213,7 @@ impl<'m> Cycle<'m> {
 
     /// Most cycles that braking from the limits to zero takes, and one to begin with; none in
     /// lockstep.
-    pub fn braking_cycles(&self) -> u64 {
+    fn braking_cycles(&self) -> u64 {
         if self.pace.clock == ClockMode::Lockstep {
             return 0;
         }
@@ -212,10 +225,9 @@ impl<'m> Cycle<'m> {
     /// Sends the zero twist that ends a run, whatever came before.
     ///
     /// # Errors
-    /// [`PublishError`] if it could not be sent.
-    pub fn stop(&mut self) -> Result<(), PublishError> {
-        let command = TwistCommand::zero(TwistState::Stopped);
-        self.ports.twist.publish(&command).map(|_| ())
+    /// It could not be sent.
+    pub fn stop(&mut self) -> Result<(), W::Unsent> {
+        self.world.send(&TwistCommand::zero(TwistState::Stopped))
     }
 
     /// Waits for the beginning of a cycle: when it was, and the features that are there.
@@ -231,37 +243,35 @@ impl<'m> Cycle<'m> {
     fn wait_for_release(&mut self, record: &mut CycleRecord) -> (u64, Input<Features>) {
         let release_ns = self.grid.next_ns();
         let rehearsal_ns = release_ns.saturating_sub(REHEARSAL_NS);
-        if now_ns() < rehearsal_ns {
-            sleep_until(rehearsal_ns);
+        if self.world.now_ns() < rehearsal_ns {
+            self.world.sleep_until(rehearsal_ns);
             self.control.rehearse(release_ns);
         }
-        sleep_until(release_ns);
-        let woken_ns = now_ns();
-        self.woken = Usage::now();
+        self.world.sleep_until(release_ns);
+        let woken_ns = self.world.now_ns();
+        self.woken = self.world.usage();
         record.wake_latency_ns = woken_ns.saturating_sub(release_ns);
-        let features: Input<Features> = input(self.ports.features.latest());
+        let features = self.world.features();
         if let (Some(pll), Input::Message(message)) = (&mut self.pll, &features) {
             pll.hear(&message.stamp, woken_ns);
         }
         (woken_ns, features)
     }
 
-    /// Lockstep: polls for a message, the less often the longer none comes. A repeated one was
-    /// answered already.
+    /// Lockstep: polls for a message, the less often the longer none comes.
     fn poll(&mut self) -> Option<(u64, Input<Features>)> {
-        let begin_ns = now_ns();
+        let begin_ns = self.world.now_ns();
         let since_ns = *self.waits_since_ns.get_or_insert(begin_ns);
         let is_fifo =
             self.pace.realtime.has(RealTime::ASKED) && !self.pace.realtime.has(RealTime::NO_FIFO);
         loop {
-            let woken_ns = now_ns();
-            self.woken = Usage::now();
-            match self.ports.features.latest() {
-                Ok(None) => (),
-                Ok(Some(received)) if received.order == Order::Repeated => (),
-                received => {
+            let woken_ns = self.world.now_ns();
+            self.woken = self.world.usage();
+            match self.world.features() {
+                Input::Nothing => (),
+                features => {
                     self.waits_since_ns = None;
-                    return Some((woken_ns, input(received)));
+                    return Some((woken_ns, features));
                 }
             }
             if woken_ns >= begin_ns + WAIT_NS {
@@ -269,25 +279,25 @@ impl<'m> Cycle<'m> {
             }
             let waited_ns = woken_ns - since_ns;
             if waited_ns < YIELD_NS && !is_fifo {
-                std::thread::yield_now();
+                self.world.yield_now();
             } else {
-                sleep_until(woken_ns + pause_ns(waited_ns));
+                self.world.sleep_until(woken_ns + pause_ns(waited_ns));
             }
         }
     }
 
     /// Takes what came from robot and operators, and the time for which the cycle decides.
     fn receive(&mut self, features: Input<Features>, stop: &Stop) -> Inputs {
-        let robot = input(self.ports.robot.latest());
-        let desired = input(self.ports.desired.latest());
+        let robot = self.world.robot();
+        let desired = self.world.desired();
         self.take_requests();
         let missed = self.grid.missed() - self.missed;
         self.missed = self.grid.missed();
-        let suspended_ns = suspended_ns().max(self.suspended_ns);
+        let suspended_ns = self.world.suspended_ns().max(self.suspended_ns);
         let slept_ns = suspended_ns - self.suspended_ns;
         self.suspended_ns = suspended_ns;
         Inputs {
-            now_ns: now_ns(),
+            now_ns: self.world.now_ns(),
             features,
             robot,
             desired,
@@ -302,18 +312,18 @@ impl<'m> Cycle<'m> {
     /// receives them, logs them.
     fn take_requests(&mut self) {
         for _ in 0..Request::PER_CYCLE {
-            match self.ports.requests.oldest() {
-                Ok(Some(request)) => {
+            match self.world.request() {
+                Input::Message(request) => {
                     let outcome = self.answer(&request);
                     if outcome == Some(Outcome::Done) && request.action() == Some(Action::Record) {
-                        self.dump.make();
+                        self.world.dump();
                     }
                 }
-                Ok(None) | Err(ReceiveError::Transport { .. }) => break,
-                Err(ReceiveError::Invalid { .. }) => (),
+                Input::Nothing | Input::Failed => break,
+                Input::Refused(_) => (),
             }
         }
-        if self.stop_file.is_asked() {
+        if self.world.is_stop_asked() {
             self.answer(&Request::new(Request::STOP_FILE, Action::Stop));
             self.is_stopping = true;
         }
@@ -321,7 +331,7 @@ impl<'m> Cycle<'m> {
 
     fn answer(&mut self, request: &Request) -> Option<Outcome> {
         let cycle = self.count + 1;
-        let reply = match is_late(request, now_ns()) {
+        let reply = match is_late(request, self.world.now_ns()) {
             true => self.control.reply(request, cycle, Outcome::Late),
             false => self.control.request(request, cycle),
         };
@@ -335,36 +345,30 @@ impl<'m> Cycle<'m> {
     /// Acknowledges a stop by the file: the zero twist is sent.
     fn acknowledge_stop(&mut self) {
         if std::mem::take(&mut self.is_stopping) {
-            self.stop_file.obey();
+            self.world.obey_stop();
         }
     }
 
-    fn send(&mut self, answer: &Answer, record: &mut CycleRecord) -> Result<(), PublishError> {
+    fn send(&mut self, answer: &Answer, record: &mut CycleRecord) -> Result<(), W::Unsent> {
         let decision = &answer.decision;
         let command = TwistCommand::answer_to(&answer.stamp, decision.twist, decision.state)
             .with_elbow(decision.elbow);
         let command = match self.control.rules().valid_ns {
-            Some(valid_ns) => command.valid_until(now_ns().saturating_add(valid_ns)),
+            Some(valid_ns) => command.valid_until(self.world.now_ns().saturating_add(valid_ns)),
             None => command,
         };
-        let sent = self.ports.twist.publish(&command);
+        let sent = self.world.send(&command);
         match sent {
-            Ok(_) => record.flags |= CycleFlags::SENT.0,
+            Ok(()) => record.flags |= CycleFlags::SENT.0,
             Err(_) => self.control.unsent(),
         }
-        sent.map(|_| ())
+        sent
     }
 
-    /// Answers the requests. An answer that cannot be sent is missed by the operator, who asks
-    /// again.
+    /// Answers the requests.
     fn reply(&mut self) {
-        for reply in &mut self.replies {
-            let sent = self.ports.replies.publish(reply);
-            (reply.stamp.sequence, reply.stamp.published_ns) = match sent {
-                Ok(sent) => (sent.sequence, sent.published_ns),
-                Err(_) => (0, now_ns()),
-            };
-            self.producer.reply(reply);
+        for reply in &self.replies {
+            self.world.reply(reply);
         }
         self.replies.clear();
     }
@@ -385,20 +389,20 @@ impl<'m> Cycle<'m> {
             self.advance(record);
         }
         record.overruns = self.grid.missed();
-        record.lost_records = self.producer.lost();
-        self.producer.cycle(record, inputs, &self.control);
+        self.world.keep(record, inputs, &self.control);
     }
 
     /// Moves the grid on to the next release.
     fn advance(&mut self, record: &mut CycleRecord) {
+        let now_ns = self.world.now_ns();
         let Some(pll) = &mut self.pll else {
-            self.grid.advance(now_ns());
+            self.grid.advance(now_ns);
             return;
         };
         let interval_ns = pll.interval_ns(self.grid.next_ns());
         let (code, error_ns) = pll.standing();
         (record.phase, record.phase_error_ns) = (code.code(), error_ns);
-        self.grid.advance_by(interval_ns, now_ns());
+        self.grid.advance_by(interval_ns, now_ns);
     }
 }
 
@@ -411,19 +415,6 @@ mod tests {
         assert_eq!(pause_ns(0), 20_000);
         assert_eq!(pause_ns(8_000_000), 1_000_000);
         assert_eq!(pause_ns(3_600_000_000_000), 5_000_000);
-    }
-
-    #[test]
-    fn a_message_that_breaks_the_contract_is_refused_with_its_head() {
-        let mut message = Features::new(&[[1.0; 2]; 4], 5);
-        (message.stamp.sequence, message.count) = (7, 99);
-        let (invalid, stamp) = (
-            messages::Message::check(&message).unwrap_err(),
-            message.stamp,
-        );
-        let found = input::<Features>(Err(ReceiveError::Invalid { invalid, stamp }));
-        assert_eq!(found, Input::Refused(stamp));
-        assert_eq!(input::<Features>(Ok(None)), Input::Nothing);
     }
 
     #[test]

@@ -13,11 +13,12 @@ use program::Exit;
 
 use crate::arguments::{Arguments, Command};
 use crate::config::{self, Config, ConfigError};
-use crate::cycle::{Cycle, Pace};
+use crate::cycle::{Cycle, MOST_FAILURES, Pace};
 use crate::flight::{self, About, DumpRequest, Recorder};
 use crate::instance::{self, Instance, InstanceError};
 use crate::loaded::{LoadError, Loaded};
 use crate::log::Log;
+use crate::machine::Machine;
 use crate::panicked::Panicked;
 use crate::preflight::{Cost, Facts};
 use crate::published::Published;
@@ -30,8 +31,6 @@ use crate::summary::Summary;
 use crate::telemetry::{RecorderError, Telemetry};
 use crate::{log, preflight, realtime, replay, stack};
 
-/// Failures to send in a row after which the daemon ends: a broken segment stays broken.
-const MOST_FAILURES: u32 = 30;
 /// Priority that the preflight asks about if no configuration names one.
 const PRIORITY: i32 = 80;
 
@@ -277,10 +276,11 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
         margin_ns: config.margin_ns,
         realtime,
     };
-    let mut cycle = Cycle::new(pace, ports, stop_file, control, producer, dump);
+    let world = Machine::new(ports, stop_file, producer, dump, &control);
+    let mut cycle = Cycle::new(pace, world, control);
     let panicked = Panicked::in_this_thread();
     let outcome = {
-        let turn = || turn(&mut cycle, &stop, &progress, arguments.cycles);
+        let turn = || cycle.turn(&stop, arguments.cycles, || progress.advance());
         catch_unwind(AssertUnwindSafe(turn))
     };
     // Whatever happened, the last word is zero.
@@ -307,7 +307,10 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
     // The ports are closed: the next one may come.
     drop(published);
     drop(instance);
-    outcome?;
+    outcome.map_err(|source| Failure::Send {
+        most: MOST_FAILURES,
+        source,
+    })?;
     stopped.map_err(|source| Failure::Send { most: 1, source })?;
     reported?;
     if is_ended {
@@ -355,44 +358,6 @@ fn report(
         ..summary.report()
     };
     Ok(report.write(path)?)
-}
-
-/// Runs cycles until asked to stop, and then until the camera stands; in lockstep, where nothing
-/// moves between messages, no longer.
-fn turn(
-    cycle: &mut Cycle,
-    stop: &Stop,
-    progress: &Progress,
-    most: Option<u64>,
-) -> Result<(), Failure> {
-    let mut failures = 0;
-    let mut left = cycle.braking_cycles();
-    loop {
-        let is_over = most.is_some_and(|most| cycle.count() >= most);
-        // Without telemetry, log and watchdog the camera would move unobserved.
-        if is_over || cycle.is_unheard() {
-            stop.ask();
-        }
-        if stop.is_asked() {
-            if left == 0 || cycle.is_at_rest() {
-                return Ok(());
-            }
-            left -= 1;
-        }
-        match cycle.run(stop) {
-            Ok(_) => {
-                failures = 0;
-                progress.advance();
-            }
-            Err(source) => {
-                failures += 1;
-                if failures >= MOST_FAILURES {
-                    let most = failures;
-                    return Err(Failure::Send { most, source });
-                }
-            }
-        }
-    }
 }
 
 /// What runs, in one line.

@@ -10,6 +10,7 @@
 //! - [`config`]: TOML and flags to a checked [`config::Config`]
 //! - [`start`]: the files that it begins with, also after it was asked to begin again ([`reload`])
 //! - [`cycle`]: the loop: wake, receive, decide, send, rehearse; [`clock`], [`pll`] set its releases
+//! - [`world`]: the clocks, ports and files that the loop meets; [`machine`] is the real one
 //! - [`decision`]: decide: gate, law, robot watch, supervisor; a crate of pure functions, which a
 //!   replay repeats
 //! - [`telemetry`]: the ordinary thread: publishes records, writes the log, feeds the watchdog
@@ -27,6 +28,7 @@ pub mod instance;
 pub mod loaded;
 pub mod log;
 pub mod lossy;
+pub mod machine;
 pub mod panicked;
 pub mod pll;
 pub mod preflight;
@@ -42,3 +44,4 @@ pub mod start;
 pub mod summary;
 pub mod telemetry;
 pub mod usage;
+pub mod world;

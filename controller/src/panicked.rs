@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use crate::cycle::Cycle;
 use crate::log::Log;
+use crate::machine::Machine;
 use crate::summary::Summary;
 
 /// Longest wait for the flight record to be written.
@@ -34,7 +35,7 @@ impl Panicked {
     }
 
     /// Tells it, lets the flight record be written, and aborts. The zero twist was sent.
-    pub fn end(self, cycle: Cycle, recorder: JoinHandle<Summary>, log: Log) -> ! {
+    pub fn end(self, cycle: Cycle<'_, Machine>, recorder: JoinHandle<Summary>, log: Log) -> ! {
         // What panicked once may do so again while its ports close.
         let _ = catch_unwind(AssertUnwindSafe(|| drop(cycle)));
         let words = self.0.lock().unwrap_or_else(PoisonError::into_inner);

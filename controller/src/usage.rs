@@ -30,15 +30,14 @@ impl Usage {
         }
     }
 
-    /// Writes what came since `self` into a record.
-    pub fn record_usage(&self, record: &mut CycleRecord) {
-        let now = Self::now();
+    /// Writes what came since `before` into a record.
+    pub fn record_since(&self, before: &Self, record: &mut CycleRecord) {
         let since =
             |now: u64, then: u64| u32::try_from(now.saturating_sub(then)).unwrap_or(u32::MAX);
-        record.minor_faults = since(now.minor_faults, self.minor_faults);
-        record.major_faults = since(now.major_faults, self.major_faults);
-        record.blocked = since(now.blocked, self.blocked);
-        record.allocations = since(now.allocations, self.allocations);
+        record.minor_faults = since(self.minor_faults, before.minor_faults);
+        record.major_faults = since(self.major_faults, before.major_faults);
+        record.blocked = since(self.blocked, before.blocked);
+        record.allocations = since(self.allocations, before.allocations);
     }
 }
 
@@ -51,7 +50,7 @@ mod tests {
         let mut record = CycleRecord::default();
         let before = Usage::now();
         work();
-        before.record_usage(&mut record);
+        Usage::now().record_since(&before, &mut record);
         record
     }
 

@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use controller::cycle::{Cycle, Pace};
 use controller::flight::{DumpRequest, Recorder, queue};
+use controller::machine::Machine;
 use controller::reload::Reload;
 use controller::service::Notifier;
 use controller::shutdown::Stop;
@@ -89,9 +90,10 @@ fn run(strategy: Strategy, clock: ClockMode) -> Tally {
     };
     let recorder = telemetry.start(&place.domain()).unwrap();
     let stop_file = StopFile::open(domain.directory()).unwrap();
-    let mut cycle = Cycle::new(pace, ports, stop_file, control, producer, dump);
+    let world = Machine::new(ports, stop_file, producer, dump, &control);
+    let mut cycle = Cycle::new(pace, world, control);
     let (mut tally, never) = (Tally::default(), Stop::default());
-    let mut count = |cycle: &mut Cycle| {
+    let mut count = |cycle: &mut Cycle<Machine>| {
         let before = heap_meter::calls();
         let record = cycle.run(&never).unwrap();
         let allocations = heap_meter::calls() - before;
