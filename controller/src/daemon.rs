@@ -224,9 +224,9 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
     let mut instance = Instance::claim(domain.directory(), state.as_deref())?;
     if let Some(stops) = arguments.again {
         control.begin_again(stops);
-        instance.follow();
+        instance.presence.follow();
     }
-    let unclean = instance.unclean.clone();
+    let unclean = instance.presence.unclean.clone();
     let unclean = unclean.filter(|_| config.clock != ClockMode::Lockstep);
     if let Some(process) = &unclean {
         control.begin_disarmed(Hold::Unclean);
@@ -289,7 +289,7 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
         panicked.end(cycle, recorder, log);
     };
     drop(std::panic::take_hook());
-    instance.has_consent = cycle.has_consent();
+    instance.presence.has_consent = cycle.has_consent();
     let (stops, was_stopped) = (cycle.stops(), cycle.was_stopped());
     let is_again = again.is_asked();
     drop(cycle);
@@ -303,7 +303,8 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
         recorded(recorder.join()).and_then(|summary| report(arguments, &summary, machine, &log));
     // Who asked to stop meanwhile wins.
     let is_ended = !is_again || stop.last_signal().map_err(Failure::Signals)?;
-    instance.is_followed = !is_ended && outcome.is_ok() && stopped.is_ok() && reported.is_ok();
+    instance.presence.is_followed =
+        !is_ended && outcome.is_ok() && stopped.is_ok() && reported.is_ok();
     // The ports are closed: the next one may come.
     drop(published);
     drop(instance);

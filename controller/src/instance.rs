@@ -14,6 +14,8 @@ use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{DirBuilderExt, FileExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
+use decision::presence::{Note, Presence};
+
 /// Name of the file in the domain's directory.
 pub const FILE: &str = "vpcd.pid";
 /// Most bytes of a note that are read.
@@ -64,13 +66,8 @@ pub struct Instance {
     file: File,
     /// The note that outlives the machine.
     note: Option<PathBuf>,
-    /// The process that had the domain before, if it ended without giving it back, or one whose
-    /// unclean end no operator has known of yet.
-    pub unclean: Option<String>,
-    /// Whether an operator has armed it: an unclean end before is forgotten.
-    pub has_consent: bool,
-    /// Whether this process begins again: until it has, its end is not clean.
-    pub is_followed: bool,
+    /// What the note said, and what it will say.
+    pub presence: Presence<String>,
 }
 
 impl Instance {
@@ -102,27 +99,20 @@ impl Instance {
         }
         let note = state.map(|state| state.join(name(directory)));
         let mut left = read(&file).map_err(&trouble)?;
-        let us = format!("{}\n", std::process::id());
+        let us = std::process::id().to_string();
+        let line = format!("{us}\n");
         if let Some(note) = &note {
-            let outlived = write_note(note, &us).map_err(InstanceError::at(note))?;
+            let outlived = write_note(note, &line).map_err(InstanceError::at(note))?;
             left = left.or(outlived);
         }
         file.set_len(0)
-            .and_then(|()| file.write_all_at(us.as_bytes(), 0))
+            .and_then(|()| file.write_all_at(line.as_bytes(), 0))
             .map_err(trouble)?;
         Ok(Self {
             file,
             note,
-            unclean: left,
-            has_consent: false,
-            is_followed: false,
+            presence: Presence::claim(us, left),
         })
-    }
-
-    /// After this process has begun again: what it left itself is no unclean end.
-    pub fn follow(&mut self) {
-        let us = std::process::id().to_string();
-        self.unclean.take_if(|process| process.trim() == us);
     }
 }
 
@@ -132,19 +122,16 @@ impl Drop for Instance {
         if std::thread::panicking() {
             return;
         }
-        let is_known = self.unclean.is_none() || self.has_consent;
-        if self.is_followed && is_known {
-            return;
-        }
         // The file stays, since removing it could race with a daemon that locks it; empty, it names
         // no process.
-        let _ = self.file.set_len(0);
-        match &self.unclean {
-            // No operator has known of the end before this one yet.
-            Some(process) if !self.has_consent => {
+        match self.presence.leave() {
+            Note::Us => (),
+            Note::Before(process) => {
+                let _ = self.file.set_len(0);
                 let _ = self.file.write_all_at(process.as_bytes(), 0);
             }
-            _ => {
+            Note::Empty => {
+                let _ = self.file.set_len(0);
                 let _ = self.note.as_ref().map(std::fs::remove_file);
             }
         }
@@ -229,7 +216,7 @@ mod tests {
         assert!(message.contains(&us), "{message}");
         drop(first);
         let next = Instance::claim(directory.path(), None).unwrap();
-        assert_eq!(next.unclean, None);
+        assert_eq!(next.presence.unclean, None);
         drop(next);
         let left = std::fs::read_to_string(directory.path().join(FILE)).unwrap();
         assert_eq!(left, "");
@@ -241,7 +228,7 @@ mod tests {
         let file = directory.path().join(FILE);
         std::fs::write(&file, "99999999999\n").unwrap();
         let claim = Instance::claim(directory.path(), None).unwrap();
-        assert_eq!(claim.unclean.as_deref(), Some("99999999999"));
+        assert_eq!(claim.presence.unclean.as_deref(), Some("99999999999"));
         let written = std::fs::read_to_string(&file).unwrap();
         assert_eq!(written, format!("{}\n", std::process::id()));
     }
@@ -252,25 +239,28 @@ mod tests {
         let claim = || Instance::claim(directory.path(), Some(state.path())).unwrap();
         let notes = || std::fs::read_dir(state.path()).unwrap().count();
         let first = claim();
-        assert_eq!((first.unclean.as_deref(), notes()), (None, 1));
+        assert_eq!((first.presence.unclean.as_deref(), notes()), (None, 1));
         // As after a kill, and a power cut that empties the directory.
         std::mem::forget(first);
         for _ in 0..2 {
             std::fs::remove_file(directory.path().join(FILE)).unwrap();
             let failed = claim();
-            assert_eq!(failed.unclean, Some(std::process::id().to_string()));
+            assert_eq!(
+                failed.presence.unclean,
+                Some(std::process::id().to_string())
+            );
         }
         let mut armed = claim();
-        assert!(armed.unclean.is_some());
-        armed.has_consent = true;
+        assert!(armed.presence.unclean.is_some());
+        armed.presence.has_consent = true;
         drop(armed);
-        assert!(claim().unclean.is_none());
+        assert!(claim().presence.unclean.is_none());
         assert_eq!(notes(), 0);
         // Where it begins disarmed, too.
         std::fs::write(directory.path().join(FILE), "12\n").unwrap();
         for _ in 0..2 {
             let claim = Instance::claim(directory.path(), None).unwrap();
-            assert_eq!(claim.unclean.as_deref(), Some("12"));
+            assert_eq!(claim.presence.unclean.as_deref(), Some("12"));
         }
     }
 

@@ -17,6 +17,8 @@
 //! - [`supervisor`]: armed, braking, disarmed
 //! - [`control`]: the whole decision
 //! - [`snapshot`]: its state as bytes
+//!
+//! [`presence`] has the rules by which a daemon knows of the one before it.
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
@@ -28,6 +30,7 @@ pub mod decision;
 pub mod gate;
 pub mod input;
 pub mod law;
+pub mod presence;
 pub mod robot;
 pub mod rules;
 pub mod snapshot;

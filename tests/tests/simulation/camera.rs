@@ -1,18 +1,23 @@
 //! The camera: what it sees of the object, and what it sends of that.
 
+use std::collections::VecDeque;
+
 use decision::Input;
 use hw_sim::FreeCamera;
 use messages::{Features, MAX_POINTS, Message};
-use rand::{Rng, RngExt};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
 
-use crate::PERIOD_NS;
 use crate::fault::Fault;
 
 /// Noise of a measured point, px.
 const NOISE_PX: f64 = 0.1;
 /// How old the images of a late camera are, and how far others are in the future, ns.
 const LATE_NS: u64 = 400_000_000;
+/// How old the images of a camera are that stamps them as fresh ones, ns.
+const STAMPED_LATE_NS: std::ops::Range<u64> = 180_000_000..400_000_000;
+
 /// The camera in the robot's hand, and its driver.
 pub struct Camera {
     scene: Scene,
@@ -28,11 +33,20 @@ pub struct Camera {
     /// The last message of a camera that worked.
     good: Features,
     older_ns: u64,
+    /// Images of before, the newest first.
+    past: VecDeque<Features>,
+    /// How old its images are that seem fresh, ns.
+    late_ns: u64,
+    /// Of how many images one is whole, where the others are not, and what these show.
+    flicker: (u64, u32),
+    /// Images since the fault began.
+    images: u64,
+    random: ChaCha8Rng,
 }
 
 impl Camera {
     /// One that sees the object there.
-    pub fn new(scene: &Scene, start: &Pose) -> Self {
+    pub fn new(scene: &Scene, start: &Pose, random: ChaCha8Rng) -> Self {
         Self {
             scene: scene.clone(),
             eye: FreeCamera::new(scene, start),
@@ -42,14 +56,22 @@ impl Camera {
             sequence: 0,
             good: Features::default(),
             older_ns: 0,
+            past: VecDeque::new(),
+            late_ns: 0,
+            flicker: (1, 0),
+            images: 0,
+            random,
         }
     }
 
     /// From now on it fails so.
-    pub fn fail(&mut self, fault: Fault, now_ns: u64, random: &mut impl Rng) {
+    pub fn fail(&mut self, fault: Fault, now_ns: u64, random: &mut ChaCha8Rng) {
         self.fault = Some((fault, now_ns));
         self.noise_px = 10_f64.powf(random.random_range(-9.0..-0.3));
-        (self.has_begun, self.older_ns) = (false, 0);
+        (self.has_begun, self.older_ns, self.images) = (false, 0, 0);
+        self.late_ns = random.random_range(STAMPED_LATE_NS);
+        let hidden = [0, 0b1, 0b11, 0b111][random.random_range(0..4)];
+        self.flicker = (random.random_range(2..9), hidden);
     }
 
     /// From now on it sees another object: of these places of it the one whose points are furthest
@@ -84,21 +106,18 @@ impl Camera {
     }
 
     /// An image of what it sees; `None` where a point is behind it.
-    pub fn expose(&self, now_ns: u64, random: &mut impl Rng) -> Option<Features> {
+    pub fn expose(&mut self, now_ns: u64) -> Option<Features> {
         let points = self.eye.features().ok()?;
         let mut features = Features::new(&points, now_ns);
-        noisy(&mut features, NOISE_PX, random);
+        noisy(&mut features, NOISE_PX, &mut self.random);
         Some(features)
     }
 
     /// What its driver publishes of an image at `now_ns`; `None` if nothing.
-    pub fn publish(
-        &mut self,
-        image: Features,
-        now_ns: u64,
-        random: &mut impl Rng,
-    ) -> Option<Input<Features>> {
+    pub fn publish(&mut self, image: Features, now_ns: u64) -> Option<Input<Features>> {
         let mut features = image;
+        self.past.push_front(image);
+        self.past.truncate(32);
         features.stamp.published_ns = now_ns;
         // An image of before another object came is good, also where it is published after that.
         let is_before = |fault, since_ns| {
@@ -115,12 +134,32 @@ impl Camera {
         };
         let is_first = !std::mem::replace(&mut self.has_begun, true);
         let good = self.good;
+        self.images += 1;
         match fault {
             Fault::Freeze => features.stamp.data_ns = good.stamp.data_ns,
             Fault::Image => features.points = good.points,
             Fault::Noise => {
                 features.points = good.points;
-                noisy(&mut features, self.noise_px, random);
+                noisy(&mut features, self.noise_px, &mut self.random);
+            }
+            Fault::Flicker => {
+                let (of, hidden) = self.flicker;
+                features.points = good.points;
+                noisy(&mut features, 0.05, &mut self.random);
+                if !self.images.is_multiple_of(of) {
+                    features.visible = hidden;
+                }
+            }
+            Fault::LateFresh => {
+                let is_old = |one: &&Features| one.stamp.data_ns + self.late_ns <= now_ns;
+                let oldest = self.past.iter().find(is_old).or(self.past.back());
+                features.points = oldest.map_or(features.points, |one| one.points);
+            }
+            Fault::Mirrored => {
+                let width = self.scene.camera.width;
+                let count = 2 * features.count as usize;
+                let across = features.points[..count].iter_mut().step_by(2);
+                across.for_each(|u| *u = width - *u);
             }
             Fault::OtherAfterHidden if is_first => features.visible = 0b1011,
             Fault::OtherAfterRestart if is_first => {
@@ -130,7 +169,7 @@ impl Camera {
             Fault::Silence | Fault::Replaced => return None,
             Fault::Pause if now_ns < since_ns + LATE_NS => return None,
             Fault::Older => {
-                self.older_ns += PERIOD_NS;
+                self.older_ns += 33_000_000;
                 features.stamp.data_ns = good.stamp.data_ns - self.older_ns;
             }
             Fault::Hidden => features.visible = 0b1011,
@@ -191,7 +230,7 @@ fn heights(features: &mut Features) -> impl Iterator<Item = &mut f64> {
     features.points[..2 * count].iter_mut().skip(1).step_by(2)
 }
 
-fn noisy(features: &mut Features, px: f64, random: &mut impl Rng) {
+fn noisy(features: &mut Features, px: f64, random: &mut ChaCha8Rng) {
     let count = 2 * features.count as usize;
     for x in &mut features.points[..count] {
         *x += random.random_range(-px..=px);

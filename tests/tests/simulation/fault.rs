@@ -2,188 +2,223 @@
 
 use messages::Hold;
 
-use crate::PERIOD_NS;
-
 /// Time from the limits to zero, `safety.brake_s`, ns.
 pub const BRAKE_NS: u64 = 150_000_000;
-/// In which the law's last command is replaced, ns: three periods.
-pub const BRAKING_NS: u64 = 3 * PERIOD_NS;
+/// In how many periods the law's last command is replaced.
+pub const BRAKING: u64 = 3;
 /// How long the law goes on while points are hidden, `safety.blind_s`, ns.
-const BLIND_NS: u64 = 1_000_000_000;
+pub const BLIND_NS: u64 = 1_000_000_000;
 /// In which an image that does not follow the commands is noticed, ns.
 const NOTICED_NS: u64 = 1_500_000_000;
+/// In which a robot or an image is noticed that is late, too fast, or flickers, ns.
+const HELD_NS: u64 = 2_500_000_000;
 /// Time without features, or without the robot's state, after which the camera is disarmed,
 /// `safety.lost_s`, ns.
 pub const LOST_NS: u64 = 300_000_000;
 
-/// One thing that goes wrong while the camera moves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Fault {
+/// Faults whose mends are still to come: no seed has them.
+pub const AWAITED: &[Fault] = &[
+    // consent
+    Fault::ToFollow,
+    Fault::ToGoal,
+    Fault::VisitDisarm,
+    Fault::VisitStop,
+    Fault::VisitForeign,
+    // joints
+    Fault::JointsFrozen,
+    Fault::JointsFuture,
+    Fault::JointsJump,
+    Fault::JointsWrapped,
+    Fault::JointsOther,
+    // image
+    Fault::Flicker,
+    Fault::LateFresh,
+    Fault::RobotFast,
+    Fault::RobotLate,
+    Fault::RobotCrossed,
+];
+
+/// Declares the faults with the list of all.
+macro_rules! faults {
+    ($($(#[$doc:meta])+ $fault:ident)+) => {
+        /// One thing that goes wrong while the camera moves.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum Fault {
+            $($(#[$doc])+ $fault,)+
+        }
+
+        /// All of them.
+        pub const FAULTS: &[Fault] = &[$(Fault::$fault,)+];
+    };
+}
+
+faults! {
     // The camera.
     /// It sends one exposure again and again.
-    Freeze,
+    Freeze
     /// It sends one image again and again, each time as a new one.
-    Image,
+    Image
     /// The same, each time with a little noise.
-    Noise,
+    Noise
+    /// The same, and in most images points are hidden.
+    Flicker
     /// It loses sight of one point for a frame; from then on it sees another object.
-    OtherAfterHidden,
+    OtherAfterHidden
     /// It starts again; from then on it sees another object.
-    OtherAfterRestart,
+    OtherAfterRestart
     /// It sends nothing more.
-    Silence,
+    Silence
     /// It pauses for 0.4 s and goes on.
-    Pause,
+    Pause
     /// It sends exposures each of which is older than the one before.
-    Older,
+    Older
     /// It loses sight of one point.
-    Hidden,
+    Hidden
     /// It finds nothing, and says that all points are in a corner.
-    Zeros,
+    Zeros
     /// It finds the pattern's edge, and puts all points there.
-    Line,
+    Line
     /// Its messages take 0.4 s from now on.
-    Late,
+    Late
+    /// Its images take 0.2 to 0.4 s from now on, and are stamped as fresh ones.
+    LateFresh
     /// Its messages are from the future.
-    Future,
+    Future
     /// One of its numbers is not finite.
-    NotFinite,
+    NotFinite
     /// It sends three points instead of four.
-    TooFew,
+    TooFew
     /// It swaps two points.
-    Swapped,
+    Swapped
+    /// Its image is mirrored.
+    Mirrored
     /// Its driver counts no messages: each seems to be the first.
-    Uncounted,
+    Uncounted
     /// The shared memory fails.
-    Transport,
+    Transport
     /// It ends, and after half a second another one is there.
-    Replaced,
+    Replaced
     /// It shows the pattern nearly as a line, for which the strategy `ibvs` has no answer.
-    NoAnswer,
+    NoAnswer
 
     // The robot.
     /// It says nothing more, and moves on.
-    RobotSilent,
+    RobotSilent
     /// It dies: it says nothing more, and stands.
-    RobotDead,
+    RobotDead
     /// It stops by itself, and says so.
-    RobotReflex,
+    RobotReflex
     /// It says that it carries out something else than it is told.
-    RobotStrays,
+    RobotStrays
     /// It stands, and says that it carries out what it is told.
-    RobotBlocked,
+    RobotBlocked
     /// It was never heard, although one is required.
-    RobotUnheard,
+    RobotUnheard
+    /// It is three times as fast as told, and says that it carries out what it is told.
+    RobotFast
+    /// It is late by 0.35 to 0.5 s, whatever it says.
+    RobotLate
+    /// It is late by 0.1 s at most.
+    RobotLags
+    /// It is too fast or too slow by 30 % at most.
+    RobotGain
+    /// It moves beside, by 0.03 m/s or rad/s at most.
+    RobotBias
+    /// It does not move at low speeds.
+    RobotDeadZone
+    /// It takes x for y.
+    RobotCrossed
+
+    // The joints of its arm.
+    /// They stay where they are.
+    JointsFrozen
+    /// The same, stamped in the future.
+    JointsFuture
+    /// Every second message says another posture.
+    JointsJump
+    /// One is less by a turn.
+    JointsWrapped
+    /// They are those of another posture.
+    JointsOther
+    /// One is 1e300 rad.
+    JointsHuge
+    /// They are in degrees.
+    JointsDegrees
+    /// They are 0.2 s old, and stamped as fresh ones.
+    JointsLate
+    /// There are too few.
+    JointsFew
 
     // The daemon and its machine.
     /// It is killed; another one starts, and the configuration wants that armed.
-    Crash,
+    Crash
     /// The same, where the configuration wants it disarmed.
-    CrashDisarmed,
+    CrashDisarmed
     /// It is stopped for 2 s at any place of its cycle (SIGSTOP).
-    Hang,
+    Hang
     /// The machine is suspended.
-    Suspend,
+    Suspend
     /// The monotonic clock goes back.
-    ClockBack,
+    ClockBack
     /// One cycle is late by more than two periods.
-    LateOnce,
+    LateOnce
     /// Cycle after cycle is late by more than a period.
-    LateLoop,
+    LateLoop
     /// Some commands in a row cannot be sent.
-    Unsent,
+    Unsent
     /// SIGTERM, once or twice.
-    Terminate,
+    Terminate
     /// SIGHUP: it ends and begins again, with another configuration perhaps.
-    Reload,
+    Reload
 
     // Operators.
     /// One stops, by a request.
-    Stop,
+    Stop
     /// One stops while seven others fill their queues.
-    StopInFlood,
+    StopInFlood
     /// One stops while others ask `arm` again and again.
-    StopAgainstArm,
+    StopAgainstArm
     /// One stops after a motion that another has stopped before.
-    StopTwice,
+    StopTwice
     /// One stops while the daemon is braking.
-    StopInBrake,
+    StopInBrake
     /// A hand changes the stop file.
-    StopFile,
+    StopFile
     /// One disarms.
-    Disarm,
+    Disarm
     /// One changes the strategy.
-    Strategy,
+    Strategy
+    /// One changes from a strategy with a goal to `follow`.
+    ToFollow
+    /// One changes from `follow` to a strategy with a goal.
+    ToGoal
     /// Seven fill their queues, and nobody stops.
-    Flood,
+    Flood
+    /// One disarms while a program visits goals, which arms by itself.
+    VisitDisarm
+    /// One stops while a program does.
+    VisitStop
+    /// A program visits a goal whose scene has other limits.
+    VisitForeign
 
     // Starts that the configuration wants armed.
     /// Camera and robot come within 5 s.
-    ArmedStart,
+    ArmedStart
     /// They come later.
-    ArmedAlone,
+    ArmedAlone
 
     // Another program steers.
     /// The strategy is `follow`; the program wants anything, then falls silent.
-    Guardian,
+    Guardian
 
+    // No single one.
+    /// Messages are late, lost, doubled and out of order.
+    Network
+    /// Nothing goes wrong.
+    Nothing
     /// Everything at once, again and again.
-    Storm,
+    Storm
 }
-
-/// All of them, in the order of their seeds.
-pub const ALL: [Fault; 50] = [
-    Fault::Freeze,
-    Fault::Image,
-    Fault::Noise,
-    Fault::OtherAfterHidden,
-    Fault::OtherAfterRestart,
-    Fault::Silence,
-    Fault::Pause,
-    Fault::Older,
-    Fault::Hidden,
-    Fault::Zeros,
-    Fault::Line,
-    Fault::Late,
-    Fault::Future,
-    Fault::NotFinite,
-    Fault::TooFew,
-    Fault::Swapped,
-    Fault::Uncounted,
-    Fault::Transport,
-    Fault::Replaced,
-    Fault::NoAnswer,
-    Fault::RobotSilent,
-    Fault::RobotDead,
-    Fault::RobotReflex,
-    Fault::RobotStrays,
-    Fault::RobotBlocked,
-    Fault::RobotUnheard,
-    Fault::Crash,
-    Fault::CrashDisarmed,
-    Fault::Hang,
-    Fault::Suspend,
-    Fault::ClockBack,
-    Fault::LateOnce,
-    Fault::LateLoop,
-    Fault::Unsent,
-    Fault::Terminate,
-    Fault::Reload,
-    Fault::Stop,
-    Fault::StopInFlood,
-    Fault::StopAgainstArm,
-    Fault::StopTwice,
-    Fault::StopInBrake,
-    Fault::StopFile,
-    Fault::Disarm,
-    Fault::Strategy,
-    Fault::Flood,
-    Fault::ArmedStart,
-    Fault::ArmedAlone,
-    Fault::Guardian,
-    Fault::Storm,
-    Fault::Storm,
-];
 
 /// What must follow a fault in a moving camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -199,6 +234,8 @@ pub enum Outcome {
     },
     /// Nothing that concerns the supervisor: it stays armed.
     GoesOn,
+    /// It arrives, or disarms for one of these causes.
+    Bears(&'static [Hold]),
     /// The daemon ends.
     Ends,
     /// The run has an end of its own.
@@ -206,12 +243,12 @@ pub enum Outcome {
 }
 
 impl Fault {
-    /// What must follow.
-    pub fn outcome(self) -> Outcome {
+    /// What must follow at this period, ns.
+    pub fn outcome(self, period_ns: u64) -> Outcome {
         use Hold::*;
         let disarms = |causes, noticed_ns, brakes| Outcome::Disarms {
             causes,
-            goes_on_ns: noticed_ns + BRAKING_NS,
+            goes_on_ns: noticed_ns + BRAKING * period_ns,
             brakes,
         };
         let brakes = |causes, noticed_ns| disarms(causes, noticed_ns, 1);
@@ -232,9 +269,12 @@ impl Fault {
             | Self::Transport
             | Self::Replaced => brakes(&[Lost], 0),
             // The first of them may be another camera's.
-            Self::Uncounted => brakes(&[Order, Lost], PERIOD_NS),
+            Self::Uncounted => brakes(&[Order, Lost], period_ns),
             Self::Image => brakes(&[Frozen], 0),
             Self::Noise => brakes(&[NotFollowing, Frozen], NOTICED_NS),
+            Self::Flicker => brakes(&[NotFollowing, Frozen, Lost], HELD_NS),
+            Self::LateFresh => brakes(&[NotFollowing, Lost], HELD_NS),
+            Self::Mirrored => brakes(&[NotFollowing, Lost], NOTICED_NS),
             Self::Hidden => brakes(&[Lost], BLIND_NS),
             Self::NoAnswer => brakes(&[Solver], 0),
             Self::Future | Self::ClockBack => at_once(&[Clock]),
@@ -242,24 +282,24 @@ impl Fault {
             Self::RobotReflex => at_once(&[RobotFault]),
             Self::RobotStrays => brakes(&[NotFollowed], LOST_NS),
             Self::RobotBlocked => brakes(&[NotFollowing], NOTICED_NS),
+            Self::RobotFast => brakes(&[NotFollowing, Lost], HELD_NS),
+            Self::RobotLate => brakes(&[NotFollowing, NotFollowed, Lost], HELD_NS),
+            Self::RobotCrossed => brakes(&[NotFollowing, NotFollowed, Lost], NOTICED_NS),
+            Self::RobotLags | Self::RobotGain | Self::RobotBias | Self::RobotDeadZone => {
+                Outcome::Bears(&[NotFollowing, NotFollowed, Lost])
+            }
             Self::Hang | Self::Suspend => at_once(&[Standstill]),
             // A brake of cycles each of which takes three periods.
-            Self::LateLoop => disarms(&[Overruns], 10 * PERIOD_NS, 3),
+            Self::LateLoop => disarms(&[Overruns], 10 * period_ns, 3),
             Self::Stop
             | Self::StopInFlood
             | Self::StopAgainstArm
             | Self::StopTwice
             | Self::StopFile => at_once(&[Operator]),
-            Self::Disarm | Self::StopInBrake => brakes(&[Operator], 0),
+            Self::Disarm | Self::StopInBrake | Self::ToFollow => brakes(&[Operator], 0),
             Self::LateOnce | Self::Unsent | Self::Strategy | Self::Flood => Outcome::GoesOn,
             Self::Terminate | Self::Reload => Outcome::Ends,
-            Self::RobotUnheard
-            | Self::Crash
-            | Self::CrashDisarmed
-            | Self::ArmedStart
-            | Self::ArmedAlone
-            | Self::Guardian
-            | Self::Storm => Outcome::Own,
+            _ => Outcome::Own,
         }
     }
 
@@ -268,8 +308,74 @@ impl Fault {
         self <= Self::NoAnswer && self != Self::Future
     }
 
-    /// Whether it is noticed only where the camera moves fast.
+    /// Whether the joints of an arm lie.
+    pub fn is_of_joints(self) -> bool {
+        (Self::JointsFrozen..=Self::JointsFew).contains(&self)
+    }
+
+    /// Whether a program visits goals, and arms by itself.
+    pub fn is_of_visit(self) -> bool {
+        matches!(
+            self,
+            Self::VisitDisarm | Self::VisitStop | Self::VisitForeign
+        )
+    }
+
+    /// Whether another program steers from the beginning.
+    pub fn is_of_policy(self) -> bool {
+        self == Self::Guardian || self == Self::ToGoal || self.is_of_joints()
+    }
+
+    /// Whether it is noticed only where the camera moves fast, or is the point only there.
     pub fn needs_speed(self) -> bool {
-        matches!(self, Self::Noise | Self::RobotBlocked | Self::NoAnswer)
+        let is_of_motion = (Self::RobotFast..=Self::RobotCrossed).contains(&self);
+        let is_of_image = matches!(
+            self,
+            Self::Noise | Self::Flicker | Self::LateFresh | Self::Mirrored
+        );
+        let others = matches!(self, Self::RobotBlocked | Self::NoAnswer | Self::Nothing);
+        is_of_motion || is_of_image || others
+    }
+
+    /// Whether the camera may move again after a zero, until it disarms.
+    pub fn may_flare(self) -> bool {
+        let is_of_motion = (Self::RobotFast..=Self::RobotCrossed).contains(&self);
+        is_of_motion || matches!(self, Self::Flicker | Self::LateFresh | Self::Mirrored)
+    }
+
+    /// Whether it can begin in the midst of everything else, and end.
+    pub fn is_of_storm(self) -> bool {
+        let is_alone = matches!(
+            self,
+            Self::Storm
+                | Self::Nothing
+                | Self::Guardian
+                | Self::ArmedStart
+                | Self::ArmedAlone
+                | Self::RobotUnheard
+                | Self::CrashDisarmed
+                | Self::StopInBrake
+                | Self::StopAgainstArm
+                | Self::StopTwice
+        );
+        !is_alone && !self.is_of_joints() && !self.is_awaited()
+    }
+
+    /// Whether its mend is still to come.
+    pub fn is_awaited(self) -> bool {
+        AWAITED.contains(&self)
+    }
+
+    /// Whether zero at once is in order, without a brake.
+    pub fn is_grave(self) -> bool {
+        matches!(
+            self,
+            Self::Future | Self::RobotReflex | Self::Suspend | Self::ClockBack
+        )
+    }
+
+    /// Whether it ends by itself, or with the daemon.
+    pub fn is_short(self) -> bool {
+        self >= Self::Crash && self != Self::Network
     }
 }

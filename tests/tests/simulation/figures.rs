@@ -2,6 +2,10 @@
 
 use std::fmt;
 
+use crate::fault::Fault;
+use crate::promise::{COUNT, PROMISES};
+use crate::world::Found;
+
 const MS: u64 = 1_000_000;
 
 /// The most of a fault's runs: times, ns, and the greatest step, as a share of the limits.
@@ -23,10 +27,12 @@ pub struct Figures {
     pub steepest: f64,
     /// The deepest of a guarded point, px.
     pub deepest_px: f64,
+    /// How often each promise was checked.
+    pub checks: [u64; COUNT],
 }
 
 impl Figures {
-    /// The greater of each.
+    /// The greater of each, and the checks of both.
     pub fn max(self, other: Self) -> Self {
         Self {
             brakes_ns: self.brakes_ns.max(other.brakes_ns),
@@ -37,6 +43,7 @@ impl Figures {
             stop_ns: self.stop_ns.max(other.stop_ns),
             steepest: self.steepest.max(other.steepest),
             deepest_px: self.deepest_px.max(other.deepest_px),
+            checks: std::array::from_fn(|k| self.checks[k] + other.checks[k]),
         }
     }
 }
@@ -59,5 +66,24 @@ impl fmt::Display for Figures {
             write!(f, ", {:.2} px deep", self.deepest_px)?;
         }
         Ok(())
+    }
+}
+
+/// Prints the greatest figures of a fault's runs, and what each promise saw in them.
+pub fn print(fault: Fault, found: &[&Found]) {
+    let figures = found.iter().map(|found| found.figures);
+    let most = figures.fold(Figures::default(), Figures::max);
+    let cycles: u64 = found.iter().map(|found| found.cycles).sum();
+    let seconds = found.iter().map(|found| found.took_ns).sum::<u64>() / 1_000_000_000;
+    let (runs, broken) = (
+        found.len(),
+        found.iter().filter(|one| one.broken.is_some()).count(),
+    );
+    println!(
+        "{fault:?}: {runs} runs, {broken} broken, {seconds} s, {cycles} cycles; at most {most}"
+    );
+    for (promise, name, line) in PROMISES {
+        let checks = most.checks[*promise as usize];
+        println!("{fault:?} saw {name}: {line}: {checks}");
     }
 }

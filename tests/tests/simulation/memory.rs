@@ -8,7 +8,10 @@ use messages::{
 };
 use vpc::{Settings, Strategy};
 
-use crate::PERIOD_NS;
+use crate::plan::Place;
+
+/// One sampling period of the paper's scene, ns.
+const PERIOD_NS: u64 = 33_333_333;
 
 #[test]
 fn an_answer_out_of_range_falls_back_to_the_neighbour() {
@@ -24,7 +27,7 @@ fn an_answer_out_of_range_falls_back_to_the_neighbour() {
     contents.write(&wrong).unwrap();
     let wrong = MemoryFile::open(&wrong, None).unwrap();
 
-    let scene = crate::STOCK.scene();
+    let scene = crate::STOCK.scene(Place::Paper);
     // Asked in every cycle, near occlusions or not.
     let settings = Settings {
         strategy: Strategy::Gpr,

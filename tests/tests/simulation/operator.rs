@@ -1,9 +1,12 @@
-//! Operators: their queues, and what they have asked and heard.
+//! Operators: what they ask and hear, and their queues at the daemon.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 use messages::{Action, Message, Outcome, Reply, Request, StrategyCode};
-use rand::{Rng, RngExt};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+
+use crate::fault::Fault;
 
 /// Places of an operator's queue: when it is full, the oldest request is dropped.
 const QUEUE: usize = Request::QOS.buffer;
@@ -28,68 +31,71 @@ pub enum Habit {
 /// One operator.
 pub struct Operator {
     pub habit: Habit,
-    queue: VecDeque<Request>,
-    /// When it asked what is in the queue, or was taken from there and not answered yet, ns.
-    asked_ns: BTreeMap<u64, u64>,
+    /// What came to the daemon and waits there, and when it came, ns.
+    queue: VecDeque<(u64, Request)>,
     next_id: u64,
     sequence: u64,
-    /// The count of stops that the last refusal told of.
-    stops: u32,
+    /// The stop that the last refusal told of; 0: none.
+    pub stops: u32,
     /// The last answer.
     pub heard: Option<Reply>,
-    /// Requests that were answered, for the figures.
-    pub answered: u64,
+    random: ChaCha8Rng,
 }
 
 impl Operator {
     /// The operator of this number.
-    pub fn new(number: usize, habit: Habit) -> Self {
+    pub fn new(number: usize, random: ChaCha8Rng) -> Self {
         Self {
-            habit,
+            habit: Habit::Idle,
             queue: VecDeque::new(),
-            asked_ns: BTreeMap::new(),
             next_id: (number as u64 + 1) << 32,
             sequence: 0,
             stops: 0,
             heard: None,
-            answered: 0,
+            random,
         }
     }
 
-    /// Asks, at `now_ns`.
-    pub fn ask(&mut self, request: Request, now_ns: u64) {
-        let mut request = request;
+    /// A request as it publishes it at `now_ns`.
+    pub fn stamped(&mut self, mut request: Request, now_ns: u64) -> Request {
         self.sequence += 1;
         self.next_id += 1;
         request.id = self.next_id;
         (request.stamp.sequence, request.stamp.published_ns) = (self.sequence, now_ns);
-        if self.queue.len() == QUEUE
-            && let Some(dropped) = self.queue.pop_front()
-        {
-            self.asked_ns.remove(&dropped.id);
-        }
-        self.asked_ns.insert(request.id, now_ns);
-        self.queue.push_back(request);
+        request
     }
 
-    /// Asks `arm`, and names the stop that the last refusal told of.
-    pub fn arm(&mut self, now_ns: u64) {
-        self.ask(Request::arm(0, self.stops), now_ns);
+    /// `arm`, which names the stop that the last refusal told of.
+    pub fn arm(&self) -> Request {
+        Request::arm(0, self.stops)
     }
 
-    /// What it does by habit, just before `now_ns`.
-    pub fn act(&mut self, now_ns: u64, random: &mut impl Rng) {
+    /// What it asks by habit.
+    pub fn habitual(&mut self) -> Option<Request> {
         match self.habit {
-            Habit::ArmLoop => self.ask(Request::arm(0, 0), now_ns),
-            Habit::Flood => (0..=QUEUE).for_each(|_| {
-                self.ask(Request::new(0, Action::Status), now_ns);
-            }),
-            Habit::Wild => {
-                let request = wild(self.stops, random);
-                self.ask(request, now_ns);
-            }
-            Habit::Careful | Habit::Idle => (),
+            Habit::ArmLoop => Some(Request::arm(0, 0)),
+            Habit::Flood => Some(Request::new(0, Action::Status)),
+            Habit::Wild => Some(wild(self.stops, &mut self.random)),
+            Habit::Careful | Habit::Idle => None,
         }
+    }
+
+    /// Time to its next act, ns.
+    pub fn pause_ns(&mut self) -> u64 {
+        let most_ns = match self.habit {
+            Habit::ArmLoop | Habit::Flood => 10_000_000,
+            Habit::Wild => 150_000_000,
+            Habit::Careful | Habit::Idle => 40_000_000,
+        };
+        self.random.random_range(most_ns / 2..most_ns)
+    }
+
+    /// A request comes to the daemon at `now_ns`.
+    pub fn arrive(&mut self, request: Request, now_ns: u64) {
+        if self.queue.len() == QUEUE {
+            self.queue.pop_front();
+        }
+        self.queue.push_back((now_ns, request));
     }
 
     /// Whether a request waits.
@@ -99,41 +105,42 @@ impl Operator {
 
     /// The daemon takes the oldest request.
     pub fn oldest(&mut self) -> Option<Request> {
-        self.queue.pop_front()
+        self.queue.pop_front().map(|(_, request)| request)
+    }
+
+    /// When the oldest request came that waits, ns.
+    pub fn waits_since_ns(&self) -> Option<u64> {
+        self.queue.front().map(|(came_ns, _)| *came_ns)
     }
 
     /// Everything that waits is lost: the daemon is gone.
     pub fn forget(&mut self) {
         self.queue.clear();
-        self.asked_ns.clear();
     }
 
-    /// Hears an answer. Returns whether it is the answer to a request that had none yet.
-    pub fn hear(&mut self, reply: &Reply) -> bool {
+    /// Hears an answer, if it is one to it.
+    pub fn hear(&mut self, reply: &Reply) {
+        if reply.id >> 32 != self.next_id >> 32 {
+            return;
+        }
         self.stops = match reply.outcome() {
             Some(Outcome::Stopped) => reply.stops,
             _ => 0,
         };
         self.heard = Some(*reply);
-        self.answered += 1;
-        self.asked_ns.remove(&reply.id) == Some(reply.stamp.data_ns)
-    }
-
-    /// When it asked the oldest request that has had no answer yet, ns.
-    pub fn waits_since_ns(&self) -> Option<u64> {
-        self.asked_ns.values().min().copied()
     }
 }
 
 /// Anything, known or unknown.
-fn wild(stops: u32, random: &mut impl Rng) -> Request {
+fn wild(stops: u32, random: &mut ChaCha8Rng) -> Request {
     let seen = [0, stops, random.random_range(0..4)][random.random_range(0..3)];
     let (strategy, neighbours) = [
         (StrategyCode::Previous, 0),
         (StrategyCode::Ibvs, 0),
         (StrategyCode::Knn, random.random_range(0..70)),
         (StrategyCode::Gpr, 0),
-    ][random.random_range(0..4)];
+        (StrategyCode::Follow, 0),
+    ][random.random_range(0..if Fault::ToGoal.is_awaited() { 4 } else { 5 })];
     match random.random_range(0..10) {
         0..4 => Request::arm(0, seen),
         4 => Request::new(0, Action::Disarm),
@@ -141,7 +148,7 @@ fn wild(stops: u32, random: &mut impl Rng) -> Request {
         6 => Request::strategy(0, strategy, neighbours),
         7 => Request {
             action: random.random_range(0..12),
-            strategy: random.random_range(0..9),
+            strategy: random.random_range(6..9),
             ..Request::arm(0, seen)
         },
         _ => Request::new(0, Action::Status),

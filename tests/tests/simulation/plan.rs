@@ -3,13 +3,13 @@
 use decision::{Rules, Safety};
 use memory_blob::MemoryFile;
 use messages::ClockMode;
-use rand::{RngExt, SeedableRng};
+use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use scene::{Pose, Scene};
 use vpc::{Settings, Strategy};
 
-use crate::PERIOD_NS;
-use crate::fault::{ALL, Fault};
+use crate::fault::{FAULTS, Fault};
+use crate::{dice, kinds};
 
 /// Where the object is at first where the camera must become fast: far from the goal, nothing in
 /// the way.
@@ -28,11 +28,50 @@ const VERY_FAR: Pose = Pose {
     translation: [0.1, 0.0, 3.2],
     rotation: [0.0; 3],
 };
+/// Where it is for a visit, near the goals.
+const NEAR: Pose = Pose {
+    translation: [0.05, 0.0, 0.7],
+    rotation: [0.0; 3],
+};
+/// Where the arm's camera sees it.
+const BEFORE_ARM: Pose = Pose {
+    translation: [0.0, -0.01, 0.4],
+    rotation: [0.0; 3],
+};
+/// Events of a storm.
+const BLOWS: std::ops::Range<u64> = 4..12;
+
+/// The scenes of all runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// The paper's.
+    Paper,
+    /// With limits of acceleration.
+    Limited,
+    /// At 15 and at 10 Hz.
+    At15,
+    At10,
+    /// With another goal.
+    Beside,
+    /// With another goal, and ten times the limits.
+    Foreign,
+    /// Carried by an arm.
+    Arm,
+}
+
+const PLACES: [Place; 7] = [
+    Place::Paper,
+    Place::Limited,
+    Place::At15,
+    Place::At10,
+    Place::Beside,
+    Place::Foreign,
+    Place::Arm,
+];
 
 /// What all runs share: scenes and the memory of motion.
 pub struct Stock {
-    /// Without and with limits of acceleration.
-    scenes: [Scene; 2],
+    scenes: [Scene; PLACES.len()],
     starts: Vec<Pose>,
     memory: MemoryFile,
 }
@@ -40,12 +79,8 @@ pub struct Stock {
 impl Stock {
     /// Reads it.
     pub fn read() -> Self {
-        let text = scene::PAPER_SIM;
-        let limits = "[limits]\nlinear_acceleration = 2.0\nangular_acceleration = 4.0\n";
-        let limited = text.replace("[limits]\n", limits);
-        assert_ne!(limited, text);
         Self {
-            scenes: [text, &limited].map(|text| Scene::parse(text, "sim").unwrap()),
+            scenes: PLACES.map(scene_of),
             starts: scene::parse_starts(scene::PAPER_SIM_STARTS, "starts").unwrap(),
             memory: MemoryFile::open(&testkit::memory_file(), None).unwrap(),
         }
@@ -56,9 +91,9 @@ impl Stock {
         &self.starts
     }
 
-    /// The scene without limits of acceleration.
-    pub fn scene(&self) -> &Scene {
-        &self.scenes[0]
+    /// A scene.
+    pub fn scene(&self, place: Place) -> &Scene {
+        &self.scenes[place as usize]
     }
 
     /// The memory of motion.
@@ -67,38 +102,98 @@ impl Stock {
     }
 }
 
+fn scene_of(place: Place) -> Scene {
+    let paper = scene::PAPER_SIM;
+    let changed = |changes: &[(&str, &str)]| {
+        let mut text = paper.to_owned();
+        for (from, to) in changes {
+            assert!(text.contains(from), "{from}");
+            text = text.replace(from, to);
+        }
+        Scene::parse(&text, "sim").unwrap()
+    };
+    let beside = (
+        "[goal]\ntranslation = [0.0, 0.0, 0.6]",
+        "[goal]\ntranslation = [0.0, 0.0, 0.8]",
+    );
+    match place {
+        Place::Paper => changed(&[]),
+        Place::Limited => changed(&[(
+            "[limits]\n",
+            "[limits]\nlinear_acceleration = 2.0\nangular_acceleration = 4.0\n",
+        )]),
+        Place::At15 => changed(&[("rate_hz = 30.0", "rate_hz = 15.0")]),
+        Place::At10 => changed(&[("rate_hz = 30.0", "rate_hz = 10.0")]),
+        Place::Beside => changed(&[beside]),
+        Place::Foreign => changed(&[
+            beside,
+            ("linear = 0.5 ", "linear = 5.0 "),
+            ("angular = 1.0 ", "angular = 10.0 "),
+        ]),
+        Place::Arm => {
+            let text = scene::PAPER_ROBOT.replace("linear = 0.01", "linear = 0.1");
+            let text = text.replace("angular = 0.03", "angular = 0.4");
+            let (text, _) = text.split_once("[[occlusion]]").unwrap();
+            let text = format!("arm = \"panda.toml\"\n{text}");
+            let directory = testkit::root().join("ipc/scene/scenes");
+            let read = |name: &str| std::fs::read(directory.join(name));
+            Scene::parse_with(&text, "arm", &read).unwrap()
+        }
+    }
+}
+
+/// Something that goes wrong in a storm, from when to when, ns after its begin.
+#[derive(Clone, Copy, Debug)]
+pub struct Blow {
+    /// Its place in the storm.
+    pub number: usize,
+    pub fault: Fault,
+    pub from_ns: u64,
+    pub until_ns: u64,
+}
+
 /// What the seed decides before the run.
 pub struct Plan<'s> {
     pub stock: &'s Stock,
+    pub seed: u64,
     pub fault: Fault,
+    pub place: Place,
     pub scene: &'s Scene,
     pub settings: Settings,
     pub safety: Safety,
     pub clock: ClockMode,
     pub start: Pose,
+    pub period_ns: u64,
     /// From exposure to publication, ns.
     pub latency_ns: u64,
     /// Whether the records are kept, and replayed at the end.
     pub is_recorded: bool,
-    /// Whether each cycle is rehearsed before its release, as `vpcd` does.
-    pub rehearses: bool,
+    /// The events of a storm.
+    pub blows: Vec<Blow>,
 }
 
 impl<'s> Plan<'s> {
-    /// That of this seed, and the source of all later choices.
-    pub fn new(stock: &'s Stock, seed: u64) -> (Self, ChaCha8Rng) {
-        let mut random = ChaCha8Rng::seed_from_u64(seed);
-        let fault = ALL[(seed % ALL.len() as u64) as usize];
-        let strategy = strategy(fault, &mut random);
+    /// That of this seed.
+    pub fn new(stock: &'s Stock, seed: u64) -> Self {
+        let kinds = kinds();
+        let (round, kind) = (seed / kinds.len() as u64, seed % kinds.len() as u64);
+        let random = &mut dice(seed, 0);
+        let fault = kinds[kind as usize];
+        let strategy = strategy(fault, random);
+        let place = place(fault, random);
+        let scene = stock.scene(place);
+        let period_ns = decision::rules::ns(scene.sampling_time());
         let safety = Safety {
             armed: matches!(fault, Fault::ArmedStart | Fault::ArmedAlone | Fault::Crash),
             needs_robot: fault == Fault::RobotUnheard || random.random_bool(0.7),
             ..Safety::default()
         };
-        let plan = Self {
+        Self {
             stock,
+            seed,
             fault,
-            scene: &stock.scenes[usize::from(random.random_bool(0.3) && !fault.needs_speed())],
+            place,
+            scene,
             settings: Settings {
                 strategy,
                 foresight_steps: 5,
@@ -113,17 +208,33 @@ impl<'s> Plan<'s> {
             },
             start: match fault {
                 Fault::NoAnswer => VERY_FAR,
-                // From there another object is elsewhere for certain: at full speed the law's tolerance
-                // comes to half an image.
+                // From there another object is elsewhere for certain: at full speed the law's
+                // tolerance comes to half an image.
                 Fault::OtherAfterHidden | Fault::OtherAfterRestart => FAR[1],
+                _ if fault.is_of_joints() => BEFORE_ARM,
+                _ if fault.is_of_visit() => NEAR,
                 _ if fault.needs_speed() => FAR[random.random_range(0..FAR.len())],
                 _ => stock.starts[random.random_range(0..stock.starts.len())],
             },
-            latency_ns: random.random_range(0..PERIOD_NS),
-            is_recorded: (seed / ALL.len() as u64).is_multiple_of(8),
-            rehearses: seed / ALL.len() as u64 % 8 == 1,
-        };
-        (plan, random)
+            period_ns,
+            latency_ns: random.random_range(0..period_ns),
+            is_recorded: round.is_multiple_of(8),
+            blows: match fault {
+                Fault::Storm => blows(random),
+                _ => Vec::new(),
+            },
+        }
+    }
+
+    /// The memory of motion, where the scene is the one that it was made for.
+    pub fn memory(&self) -> Option<memory_blob::Memory<'s>> {
+        (self.place != Place::Arm).then(|| self.stock.memory())
+    }
+
+    /// Whether the clock goes back: records then have no order.
+    pub fn turns_back(&self) -> bool {
+        let is_back = |fault| fault == Fault::ClockBack;
+        is_back(self.fault) || self.blows.iter().any(|blow| is_back(blow.fault))
     }
 
     /// Whether the scene limits the acceleration.
@@ -133,14 +244,25 @@ impl<'s> Plan<'s> {
 
     /// Time of a brake from the limits to zero, in whole cycles, ns.
     pub fn brake_ns(&self) -> u64 {
-        let rules = self.rules();
-        let by_time = rules.brake_ns.div_ceil(PERIOD_NS);
-        by_time.max(rules.stop_cycles(&rules.limits).ceil() as u64) * PERIOD_NS
+        let rules = self.rules(self.scene);
+        let by_time = rules.brake_ns.div_ceil(self.period_ns);
+        by_time.max(rules.stop_cycles(&rules.limits).ceil() as u64) * self.period_ns
     }
 
-    /// The supervisor's rules, as `vpcd` makes them of scene and settings.
-    pub fn rules(&self) -> Rules {
-        Rules::new(self.scene, &self.settings, &self.safety, self.clock)
+    /// The supervisor's rules in a scene, as `vpcd` makes them of scene and settings.
+    pub fn rules(&self, scene: &Scene) -> Rules {
+        Rules::new(scene, &self.settings, &self.safety, self.clock)
+    }
+}
+
+fn place(fault: Fault, random: &mut ChaCha8Rng) -> Place {
+    match fault {
+        Fault::Flicker => [Place::Paper, Place::At15, Place::At10][random.random_range(0..3)],
+        _ if fault.is_of_joints() => Place::Arm,
+        _ if random.random_bool(0.3) && !fault.needs_speed() && !fault.is_of_visit() => {
+            Place::Limited
+        }
+        _ => Place::Paper,
     }
 }
 
@@ -148,10 +270,38 @@ impl<'s> Plan<'s> {
 fn strategy(fault: Fault, random: &mut ChaCha8Rng) -> Strategy {
     match (fault, random.random_range(0..20)) {
         (Fault::NoAnswer, _) => Strategy::Ibvs,
-        (Fault::Guardian, _) => Strategy::Follow,
+        _ if fault.is_of_policy() => Strategy::Follow,
+        (Fault::Storm, 0..5) if !Fault::ToGoal.is_awaited() => Strategy::Follow,
+        _ if fault.needs_speed() => Strategy::Previous,
         (_, 0) => Strategy::Foresight,
         (_, 1) => Strategy::Knn { k: 5 },
         (_, 2) => Strategy::Gpr,
         _ => Strategy::Previous,
     }
+}
+
+/// The events of a storm, one after the other or at once.
+fn blows(random: &mut ChaCha8Rng) -> Vec<Blow> {
+    let possible: Vec<Fault> = FAULTS
+        .iter()
+        .copied()
+        .filter(|one| one.is_of_storm())
+        .collect();
+    let count = random.random_range(BLOWS);
+    let mut blows: Vec<Blow> = (0..count)
+        .map(|_| {
+            let from_ns = random.random_range(500_000_000..10_000_000_000);
+            Blow {
+                number: 0,
+                fault: possible[random.random_range(0..possible.len())],
+                from_ns,
+                until_ns: from_ns + random.random_range(10_000_000..1_500_000_000),
+            }
+        })
+        .collect();
+    blows.sort_by_key(|blow| blow.from_ns);
+    for (number, blow) in blows.iter_mut().enumerate() {
+        blow.number = number;
+    }
+    blows
 }

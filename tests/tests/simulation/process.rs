@@ -1,202 +1,283 @@
-//! A process of the daemon in the world: it starts, wakes, decides, sends, sleeps, and ends.
+//! A process of the daemon: the real loop ([`controller::cycle::Cycle`]) in this world. Each of its
+//! calls takes a little time, in which everything else goes on; it hangs, and is killed, in any of
+//! them.
 
-use std::hash::Hasher;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-use messages::{Action, Hold, Reply, Request, TwistCommand};
+use controller::cycle::{Cycle, Pace};
+use controller::shutdown::Stop;
+use controller::usage::Usage;
+use decision::presence::{Note, Presence};
+use decision::{ControlStep, Input, Inputs};
+use messages::{
+    CycleRecord, DesiredTwist, Features, Hold, RealTime, Reply, Request, RobotState, TwistCommand,
+    TwistState,
+};
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use vpc::Strategy;
 
-use crate::daemon::{Begin, Cycle, Daemon};
-use crate::operator::{Habit, MOST, Operator};
-use crate::property::Facts;
-use crate::queue::Event;
-use crate::stop_file::Domain;
-use crate::world::{Left, World};
+use crate::dice;
+use crate::operator::Operator;
+use crate::promise::Promise;
+use crate::property::Seen;
+use crate::world::World;
+
+/// From the expected features to the cycle's begin with clock `phase`, ns.
+const MARGIN_NS: u64 = 1_000_000;
+
+/// What ends a process in the middle of a call: it was killed, or the run is over.
+struct Killed;
+
+/// A command was not sent.
+#[derive(Clone, Copy, Debug, thiserror::Error)]
+#[error("not sent")]
+pub struct Unsent;
+
+/// The daemon's end of the world.
+struct Process<'w, 's> {
+    world: &'w mut World<'s>,
+    number: u64,
+    random: ChaCha8Rng,
+    /// What it has received and sent in this cycle.
+    seen: Seen,
+    /// How far its clock is back, ns.
+    back_ns: u64,
+    sent: u64,
+}
 
 impl World<'_> {
-    /// A new process, after what the one before has left.
-    pub fn start(&mut self) {
-        let begin = match self.left {
-            Left::Nothing => Begin::Configured,
-            Left::Killed => Begin::Unclean,
-            Left::Again(stops) => Begin::Again(stops),
-        };
-        self.tell(|| format!("vpcd starts: {begin:?}"));
+    /// A new process, after what the one before has left, until it ends.
+    pub fn run_process(&mut self) {
         self.process += 1;
-        self.shutdown = false;
-        if let (true, Some(domain)) = (self.left != Left::Nothing, &mut self.domain) {
+        (self.is_at_work, self.hung_until_ns) = (true, 0);
+        let again = self.again.take();
+        self.id += u64::from(again.is_none());
+        let mut presence = Presence::claim(self.id, self.note.replace(self.id));
+        if let Some(domain) = &mut self.domain {
             domain.open_again();
         }
-        let daemon = Daemon::new(&self.plan, begin, self.now_ns, self.suspended_ns);
-        self.recorder.state(&daemon, self.now_ns);
-        let release_ns = daemon.release_ns();
-        self.daemon = Some(daemon);
-        self.queue
-            .at(release_ns + 50_000, Event::Wake(self.process));
+        let (scene, settings) = (self.scene, self.plan.settings);
+        let (rules, memory) = (self.plan.rules(scene), self.plan.memory());
+        let mut control = ControlStep::new(scene, settings, memory, rules).unwrap();
+        if let Some(stops) = again {
+            control.begin_again(stops);
+            presence.follow();
+        }
+        if presence.unclean.is_some() {
+            control.begin_disarmed(Hold::Unclean);
+        }
+        self.tell(|| format!("vpcd starts: {presence:?}, {again:?}"));
+        let is_armed = rules.begins_armed && again.is_none();
+        let has_goal = settings.strategy != Strategy::Follow;
+        self.judge.begin(rules, is_armed, has_goal, self.now_ns);
+        self.recorder.begin(scene, &control, self.now_ns);
+        (self.stop, self.is_again) = (Stop::default(), false);
+        let stop = self.stop.clone();
+        let pace = Pace {
+            clock: self.plan.clock,
+            period_ns: self.plan.period_ns,
+            margin_ns: MARGIN_NS,
+            realtime: RealTime::default(),
+        };
+        let process = Process {
+            number: self.process,
+            random: dice(self.plan.seed, 1000 + self.process),
+            seen: Seen::default(),
+            back_ns: 0,
+            sent: 0,
+            world: self,
+        };
+        let run = AssertUnwindSafe(|| {
+            let mut cycle = Cycle::new(pace, process, control);
+            let sent = cycle.turn(&stop, None, || ());
+            let last_word = cycle.stop();
+            let handed = (cycle.stops(), cycle.was_stopped());
+            (sent.and(last_word), cycle.has_consent(), handed)
+        });
+        match catch_unwind(run) {
+            Ok((sent, has_consent, handed)) => {
+                // As one that fails.
+                self.is_again &= sent.is_ok();
+                presence.has_consent = has_consent;
+                presence.is_followed = self.is_again;
+                self.note = match presence.leave() {
+                    Note::Us => Some(self.id),
+                    Note::Before(process) => Some(*process),
+                    Note::Empty => None,
+                };
+                self.ended(handed);
+            }
+            Err(payload) if payload.is::<Killed>() => (),
+            Err(payload) => {
+                let words = payload.downcast_ref::<String>().cloned();
+                let words = words.or_else(|| payload.downcast_ref().map(|s: &&str| s.to_string()));
+                self.judge.fail(Promise::Panic, || format!("{words:?}"));
+            }
+        }
     }
 
     /// The process is gone, whatever it was about to do.
     pub fn kill(&mut self) {
         self.tell(|| "vpcd is killed".to_owned());
-        self.daemon = None;
         self.process += 1;
-        self.left = Left::Killed;
+        self.is_at_work = false;
         self.operators.iter_mut().for_each(Operator::forget);
         self.judge.killed();
     }
+}
 
-    /// The daemon's cycle up to its decision.
-    pub fn wake(&mut self) {
-        let back_ns = std::mem::take(&mut self.back_ns);
-        let woken_ns = self.now_ns - back_ns;
-        let now_ns = woken_ns + self.between(5_000, 40_000);
-        let inbox = std::mem::take(&mut self.inbox);
-        let Some(mut daemon) = self.daemon.take() else {
-            return;
-        };
-        daemon.hear(&inbox.features, woken_ns);
-        self.take_requests(&mut daemon, now_ns);
-        let mut cycle = daemon.decide(inbox, woken_ns, now_ns, self.suspended_ns, self.shutdown);
-        let decided_ns = now_ns + self.between(10_000, 300_000);
-        daemon.decided(&mut cycle, decided_ns);
-        self.daemon = Some(daemon);
-        let sent_ns = decided_ns + back_ns + self.between(5_000, 60_000);
-        self.queue
-            .at(sent_ns, Event::Send(self.process, Box::new(cycle)));
+impl Process<'_, '_> {
+    /// A call takes so long, ns.
+    fn spend(&mut self, least_ns: u64, most_ns: u64) {
+        let takes_ns = self.random.random_range(least_ns..most_ns);
+        self.pass(self.world.now_ns + takes_ns);
     }
 
-    /// All requests that wait, in any order of the operators, and the stop file after them.
-    fn take_requests(&mut self, daemon: &mut Daemon, now_ns: u64) {
-        for operator in &mut self.operators {
-            if operator.habit == Habit::Flood {
-                operator.act(self.now_ns, &mut self.random);
-            }
+    /// Everything until then happens, and until it goes on where it hangs.
+    fn pass(&mut self, until_ns: u64) {
+        self.world.pass(until_ns);
+        while self.is_alive() && self.world.now_ns < self.world.hung_until_ns {
+            self.world.pass(self.world.hung_until_ns);
         }
-        for _ in 0..Request::PER_CYCLE {
-            let waiting = (0..MOST).filter(|k| self.operators[*k].waits());
-            let waiting: Vec<usize> = waiting.collect();
-            if waiting.is_empty() {
-                break;
-            }
-            let number = waiting[self.random.random_range(0..waiting.len())];
-            if let Some(request) = self.operators[number].oldest() {
-                daemon.take(&request, now_ns);
-            }
-        }
-        if self.domain.as_mut().is_some_and(Domain::is_asked) {
-            daemon.take(&Request::new(Request::STOP_FILE, Action::Stop), now_ns);
+        if !self.is_alive() {
+            resume_unwind(Box::new(Killed));
         }
     }
 
-    /// The cycle's command and its answers go out.
-    pub fn send(&mut self, mut cycle: Box<Cycle>) {
-        let Some(daemon) = &mut self.daemon else {
-            return;
-        };
-        let can_send = self.unsent == 0;
-        self.unsent = self.unsent.saturating_sub(1);
-        let sent = daemon.send(&mut cycle, self.now_ns, can_send);
-        let decision = cycle.answer.decision;
-        let command = sent.unwrap_or_else(|| {
-            TwistCommand::answer_to(&cycle.answer.stamp, decision.twist, decision.state)
-        });
-        for v in command.twist {
-            self.hash.write_u64(v.to_bits());
-        }
-        self.hash.write_u32(command.state);
-        self.hash.write_u32(Hold::number(decision.hold));
-        self.hash.write_u32(cycle.record.predicted);
-        self.tell(|| {
-            let speed = command
-                .twist
-                .iter()
-                .fold(0.0_f64, |most, v| most.max(v.abs()));
-            format!(
-                "{} {:?} {speed:.4}{}",
-                decision.state,
-                decision.hold,
-                if sent.is_some() { "" } else { " (not sent)" }
-            )
-        });
-        let facts = Facts {
-            eyes_ns: self.eyes_ns,
-            is_grave: self.trial.is_grave,
-        };
-        self.judge.cycle(&cycle, &command, facts, self.now_ns);
-        self.answer(&mut cycle);
-        if let Some(command) = sent {
-            self.robot.obey(&command);
-            self.newest = Some(command);
-            self.acknowledge_stop(&command);
-            self.observe(&command, decision.hold);
-        }
-        let thought_ns = self.now_ns + self.between(20_000, 7_000_000);
-        self.queue.at(thought_ns, Event::Sleep(self.process, cycle));
+    fn is_alive(&self) -> bool {
+        self.world.process == self.number && !self.world.is_over()
+    }
+}
+
+impl controller::world::World for Process<'_, '_> {
+    type Unsent = Unsent;
+
+    fn now_ns(&mut self) -> u64 {
+        self.spend(500, 15_000);
+        let now_ns = self.world.now_ns - self.back_ns;
+        self.seen.read_clock(now_ns);
+        now_ns
     }
 
-    /// Each answer goes to the operator that asked; each request has exactly one.
-    fn answer(&mut self, cycle: &mut Cycle) {
-        for (request, reply) in &mut cycle.replies {
-            (reply.stamp.sequence, reply.stamp.published_ns) = (1, self.now_ns);
-            let reply: &Reply = reply;
-            if request.id == Request::STOP_FILE {
-                continue;
-            }
-            self.tell(|| format!("answer to {:?}: {:?}", request.action(), reply.outcome()));
-            let asks = self.operators.iter_mut().enumerate();
-            let mut asks = asks.filter(|(k, _)| *k as u64 + 1 == reply.id >> 32);
-            let is_heard = asks
-                .next()
-                .is_some_and(|(_, operator)| operator.hear(reply));
-            self.judge.check(is_heard, || {
-                format!("replies: one that nobody waits for: {reply:?}")
-            });
+    fn suspended_ns(&mut self) -> u64 {
+        self.world.suspended_ns
+    }
+
+    fn usage(&mut self) -> Usage {
+        Usage::default()
+    }
+
+    fn sleep_until(&mut self, deadline_ns: u64) {
+        let mut wakes_ns =
+            deadline_ns.max(self.world.now_ns) + self.random.random_range(20_000..120_000);
+        let (count, late_ns) = self.world.late;
+        if count > 0 && deadline_ns > self.world.now_ns {
+            self.world.late.0 -= 1;
+            wakes_ns += late_ns;
         }
-        for operator in &self.operators {
-            let since_ns = operator.waits_since_ns().unwrap_or(u64::MAX);
-            let woken_ns = cycle.woken_ns;
-            self.judge.check(since_ns >= woken_ns, || {
-                let waits_us = (woken_ns - since_ns) / 1000;
-                format!("replies: none in a cycle that began {waits_us} us after the request")
-            });
+        self.pass(wakes_ns);
+        self.back_ns = self.back_ns.max(std::mem::take(&mut self.world.back_ns));
+    }
+
+    fn yield_now(&mut self) {
+        self.spend(1_000, 100_000);
+    }
+
+    fn features(&mut self) -> Input<Features> {
+        self.spend(500, 5_000);
+        std::mem::replace(&mut self.world.inbox.features, Input::Nothing)
+    }
+
+    fn robot(&mut self) -> Input<RobotState> {
+        std::mem::replace(&mut self.world.inbox.robot, Input::Nothing)
+    }
+
+    fn desired(&mut self) -> Input<DesiredTwist> {
+        std::mem::replace(&mut self.world.inbox.desired, Input::Nothing)
+    }
+
+    fn request(&mut self) -> Input<Request> {
+        let operators = &mut self.world.operators;
+        let waiting = operators.iter().filter(|one| one.waits()).count();
+        if waiting == 0 {
+            return Input::Nothing;
+        }
+        let any = self.random.random_range(0..waiting);
+        let mut waiting = operators.iter_mut().filter(|one| one.waits());
+        let Some(request) = waiting.nth(any).and_then(Operator::oldest) else {
+            return Input::Nothing;
+        };
+        self.seen.take(request);
+        Input::Message(request)
+    }
+
+    fn is_stop_asked(&mut self) -> bool {
+        let is_asked = self.world.domain.as_mut().is_some_and(|one| one.is_asked());
+        if is_asked {
+            self.seen.take_file();
+        }
+        is_asked
+    }
+
+    fn obey_stop(&mut self) {
+        self.spend(500, 30_000);
+        let is_zero = self
+            .seen
+            .command
+            .is_some_and(|command| command.twist == [0.0; 6]);
+        if let Some(domain) = &mut self.world.domain {
+            let was_confirmed = domain.is_confirmed();
+            domain.acknowledge();
+            let is_new = domain.is_confirmed() && !was_confirmed;
+            self.world
+                .judge
+                .check(Promise::Stop, !is_new || is_zero, || {
+                    "confirmed before zero was sent".to_owned()
+                });
         }
     }
 
-    fn acknowledge_stop(&mut self, command: &TwistCommand) {
-        let Some(domain) = &mut self.domain else {
-            return;
-        };
-        let was_confirmed = domain.is_confirmed();
-        domain.acknowledge();
-        let is_new = domain.is_confirmed() && !was_confirmed;
-        self.judge.check(!is_new || command.twist == [0.0; 6], || {
-            "stop: confirmed before zero was sent".to_owned()
-        });
+    fn send(&mut self, command: &TwistCommand) -> Result<(), Unsent> {
+        // The decision took its time.
+        self.spend(10_000, 300_000);
+        self.back_ns = 0;
+        if command.state() == Some(TwistState::Stopped) {
+            self.world.judge.last_word(command);
+        }
+        self.seen.sent_ns = self.world.now_ns;
+        if self.world.unsent > 0 {
+            self.world.unsent -= 1;
+            return Err(Unsent);
+        }
+        let mut command = *command;
+        self.sent += 1;
+        command.stamp.sequence = self.sent;
+        command.stamp.published_ns = self.world.now_ns;
+        self.seen.command = Some(command);
+        self.world.send_twist(&command);
+        Ok(())
     }
 
-    /// The cycle ends: the daemon thinks, and sleeps until its next release, or ends.
-    pub fn sleep(&mut self, mut cycle: Box<Cycle>) {
-        let Some(mut daemon) = self.daemon.take() else {
-            return;
-        };
-        daemon.finish(&mut cycle, self.now_ns);
-        self.cycles += 1;
-        self.recorder.cycle(&cycle);
-        self.recorder.state(&daemon, self.now_ns);
-        if self.shutdown && daemon.is_over() {
-            let command = daemon.last_word(self.now_ns);
-            self.robot.obey(&command);
-            self.newest = Some(command);
-            self.judge.last_word(&command);
-            self.ended(daemon);
-            return;
-        }
-        daemon.rehearse();
-        let (count, late_ns) = self.late;
-        let late_ns = if count > 0 { late_ns } else { 0 };
-        self.late.0 = count.saturating_sub(1);
-        let wake_ns = daemon.release_ns() + self.between(20_000, 120_000) + late_ns;
-        self.daemon = Some(daemon);
-        let wake_ns = wake_ns.max(self.now_ns);
-        self.queue.at(wake_ns, Event::Wake(self.process));
+    fn reply(&mut self, reply: &Reply) {
+        self.spend(500, 5_000);
+        let mut reply = *reply;
+        (reply.stamp.sequence, reply.stamp.published_ns) = (1, self.world.now_ns);
+        self.seen.answer(&reply);
+        self.world.send_reply(&reply);
+    }
+
+    fn dump(&mut self) {}
+
+    fn keep(&mut self, record: &mut CycleRecord, inputs: &Inputs, control: &ControlStep) {
+        let seen = std::mem::take(&mut self.seen);
+        self.world.cycle(record, inputs, &seen, control);
+        self.world.recorder.cycle(record, inputs, &seen, control);
+        // What it thinks.
+        self.spend(20_000, 1_000_000);
+    }
+
+    fn is_unheard(&self) -> bool {
+        false
     }
 }

@@ -2,9 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use messages::Features;
+use decision::Input;
+use messages::{DesiredTwist, Features, Reply, Request, RobotState, TwistCommand};
 
-use crate::daemon::Cycle;
+use crate::plan::Blow;
 
 /// What happens at an instant.
 pub enum Event {
@@ -16,16 +17,12 @@ pub enum Event {
     Tick,
     /// The robot tells its state.
     State,
-    /// A daemon wakes up; only the one of this number.
-    Wake(u64),
-    /// Its command goes out.
-    Send(u64, Box<Cycle>),
-    /// It has thought, and sleeps.
-    Sleep(u64, Box<Cycle>),
-    /// A new daemon starts.
+    /// A daemon starts.
     Start,
     /// An operator acts.
     Act(usize),
+    /// A program that arms by itself acts.
+    Visit,
     /// The other program wants a twist.
     Want,
     /// The fault begins.
@@ -34,6 +31,17 @@ pub enum Event {
     Recover,
     /// The trial goes on.
     Turn,
+    /// An event of the plan begins, and is over.
+    Blow(Blow),
+    Over(Blow),
+
+    // Messages arrive.
+    Features(Box<Input<Features>>),
+    Robot(Box<RobotState>),
+    Desired(Box<DesiredTwist>),
+    Twist(Box<TwistCommand>),
+    Request(usize, Box<Request>),
+    Reply(usize, Box<Reply>),
 }
 
 /// The events to come.
@@ -50,9 +58,10 @@ impl Queue {
         self.events.insert((at_ns, self.count), event);
     }
 
-    /// The next event and its instant, ns.
-    pub fn next(&mut self) -> Option<(u64, Event)> {
-        let ((at_ns, _), event) = self.events.pop_first()?;
-        Some((at_ns, event))
+    /// The next event, and its instant, ns, unless that is later than this.
+    pub fn next(&mut self, until_ns: u64) -> Option<(u64, Event)> {
+        let first = self.events.first_entry()?;
+        let (at_ns, _) = *first.key();
+        (at_ns <= until_ns).then(|| (at_ns, first.remove()))
     }
 }

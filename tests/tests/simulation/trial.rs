@@ -1,31 +1,34 @@
 //! The course of a run: the camera is set in motion, something goes wrong, what must follow
 //! follows, and after that nothing moves until somebody arms again.
 
-use messages::{Hold, Outcome as Answer, Request, TwistCommand, TwistState};
+use messages::{Action, Hold, Outcome as Answer, Request, StrategyCode, TwistCommand, TwistState};
 use rand::RngExt;
 
-use crate::PERIOD_NS;
-use crate::daemon::Daemon;
 use crate::fault::{Fault, Outcome};
 use crate::figures::Figures;
-use crate::operator::{Habit, Operator};
+use crate::operator::{Habit, MOST};
+use crate::promise::Promise;
 use crate::queue::Event;
-use crate::world::{Left, World};
+use crate::world::World;
 
 pub const MS: u64 = 1_000_000;
 pub const SECOND: u64 = 1_000 * MS;
-/// Wake-ups and the way to the port, ns.
-const SLACK_NS: u64 = MS;
-/// For how long the law remembers its commands, and may take points for others, ns.
-pub const FORGOTTEN_NS: u64 = 36 * PERIOD_NS;
+/// Wake-ups and the ways to the ports, ns.
+const SLACK_NS: u64 = 4 * MS;
+/// For how many periods the law remembers its commands, and may take points for others.
+pub const FORGOTTEN: u64 = 36;
 /// In which a camera that is armed moves, ns.
 const PATIENCE_NS: u64 = 2 * SECOND;
-/// How long a robot without commands moves on, ns: the dead man and a tick.
-const REST_NS: u64 = 104 * MS;
+/// How long a robot without commands moves on, ns: the dead man, a tick, the way of a command.
+const REST_NS: u64 = 107 * MS;
 /// In which a daemon that is told to end has ended, ns.
 const END_NS: u64 = 500 * MS;
 /// In which the camera stands after a guarded program fell silent, ns.
 const SILENT_NS: u64 = 500 * MS;
+/// In which it arrives, or gives up, ns.
+const ARRIVES_NS: u64 = 20 * SECOND;
+/// Longest visit, ns.
+const VISIT_NS: u64 = 6 * SECOND;
 /// Twists of a guarded program, and cycles in which they move the camera at least.
 const TWISTS: u32 = 100;
 const MOVED: u32 = 200;
@@ -50,18 +53,25 @@ pub enum Stage {
     Refused,
     /// It must go on in spite of the fault.
     Going,
+    /// It arrives in spite of the fault, or disarms.
+    Bearing,
+    /// A program visits goals.
+    Visiting,
+    /// Nothing may move any more.
+    Watched,
     /// It is told to end.
     Ending,
     /// Another program steers; then it has fallen silent.
     Guarded,
     Unwanted,
     Storm,
+    /// The storm is over.
+    Calm,
     Over,
 }
 
 /// The course of a run.
 pub struct Trial {
-    pub fault: Fault,
     pub stage: Stage,
     /// From when times count: the last good features, or the fault, ns.
     pub since_ns: u64,
@@ -84,9 +94,8 @@ pub struct Trial {
 
 impl Trial {
     /// Before anything.
-    pub fn new(fault: Fault) -> Self {
+    pub fn new() -> Self {
         Self {
-            fault,
             stage: Stage::Arming,
             since_ns: 0,
             until_ns: u64::MAX,
@@ -105,24 +114,9 @@ impl Trial {
         self.stage == Stage::Over
     }
 
-    /// Where it is, for people.
-    pub fn stage(&self) -> String {
-        format!("{:?} of {:?}", self.stage, self.fault)
-    }
-
-    /// Whether the careful operator asks to arm.
-    pub fn wants_motion(&self) -> bool {
-        self.is_armed_for
-    }
-
     /// Whether the other program goes on.
     pub fn wants_twist(&self) -> bool {
         self.twists < TWISTS
-    }
-
-    /// The other program has wanted a twist.
-    pub fn wanted(&mut self) {
-        self.twists += 1;
     }
 }
 
@@ -131,10 +125,11 @@ impl World<'_> {
     pub fn begin_trial(&mut self) {
         let now_ns = self.now_ns;
         self.trial.until_ns = now_ns + PATIENCE_NS;
+        self.let_act(0, Habit::Careful);
         match self.plan.fault {
             Fault::RobotUnheard => {
                 self.trial.stage = Stage::Waiting;
-                self.robot.fail(Fault::RobotUnheard);
+                self.robot.fail(Fault::RobotUnheard, &mut self.random);
                 self.trial.strikes = 0;
                 self.queue.at(now_ns + 3 * SECOND / 2, Event::Turn);
             }
@@ -155,46 +150,70 @@ impl World<'_> {
                 }
             }
             Fault::StopTwice | Fault::StopFile => self.trial.strikes = 2,
-            Fault::Guardian => self.trial.until_ns = u64::MAX,
+            fault if fault.is_of_policy() => self.trial.until_ns = u64::MAX,
             Fault::Storm => {
                 self.trial.stage = Stage::Storm;
                 self.let_act(1, Habit::Wild);
                 if self.random.random_bool(0.3) {
                     self.let_act(2, Habit::Flood);
                 }
-                self.trial.until_ns = now_ns + self.between(8 * SECOND, 14 * SECOND);
+                if self.random.random_bool(0.5) {
+                    self.queue.at(now_ns + SECOND, Event::Want);
+                }
+                let last_ns = self.plan.blows.iter().map(|blow| blow.until_ns).max();
+                let end_ns = now_ns + last_ns.unwrap_or(0) + 2 * SECOND;
+                self.queue.at(end_ns, Event::Turn);
+            }
+            fault if fault.is_of_visit() => {
+                self.trial.stage = Stage::Visiting;
+                self.trial.is_armed_for = false;
                 self.queue.at(now_ns + SECOND, Event::Turn);
+                // At any instant from the first goal on.
+                let strike_ns = self.between(1_100 * MS, 4 * SECOND);
+                self.queue.at(now_ns + strike_ns, Event::Strike);
             }
             _ => (),
         }
     }
 
-    pub fn let_act(&mut self, number: usize, habit: Habit) {
-        self.operators[number] = Operator::new(number, habit);
-        let first_ns = self.now_ns + self.between(0, PERIOD_NS);
-        self.queue.at(first_ns, Event::Act(number));
+    /// Whether something goes wrong once, and something follows.
+    pub fn is_trial(&self) -> bool {
+        self.plan.fault != Fault::Storm && !self.plan.fault.is_of_visit()
     }
 
-    /// A command has gone out.
-    pub fn observe(&mut self, command: &TwistCommand, hold: Option<Hold>) {
+    /// From now on an operator has this habit.
+    pub fn let_act(&mut self, number: usize, habit: Habit) {
+        self.operators[number].habit = habit;
+    }
+
+    /// A command has gone out at `now_ns`.
+    pub fn observe(&mut self, command: &TwistCommand, hold: Option<Hold>, now_ns: u64) {
         let is_still = command.twist == [0.0; 6];
         let state = command.state().unwrap();
         let is_of_law = matches!(state, TwistState::Moving | TwistState::Arrived);
-        let now_ns = self.now_ns;
         match self.trial.stage {
-            Stage::Arming if self.plan.fault == Fault::Guardian => self.begin_to_want(),
+            Stage::Arming if self.plan.fault.is_of_policy() => self.begin_to_want(),
             Stage::Arming if is_of_law && !is_still => self.moves(),
             Stage::Arming if now_ns > self.trial.until_ns => {
                 let heard = self.operators[0].heard.and_then(|reply| reply.outcome());
-                self.judge.fail(|| {
-                    format!("motion: none in time: {state}, {hold:?}; arm is answered {heard:?}")
+                self.judge.fail(Promise::Motion, || {
+                    format!("none in time: {state}, {hold:?}; arm is answered {heard:?}")
                 });
             }
-            Stage::Failing => self.observe_fault(command, hold),
+            Stage::Failing => self.observe_fault(command, hold, now_ns),
+            Stage::Bearing => self.observe_arrival(state, hold),
+            Stage::Moving if self.plan.fault == Fault::Nothing => {
+                self.observe_arrival(state, hold);
+            }
+            Stage::Watched => {
+                self.judge.check(Promise::Unasked, is_still, || {
+                    format!("{state} after a change of the strategy")
+                });
+            }
             Stage::Gone => {
                 let is_fine = state == TwistState::Disarmed;
                 self.judge
-                    .check(is_fine, || format!("restart: {state} ({hold:?})"));
+                    .check(Promise::Restart, is_fine, || format!("{state} ({hold:?})"));
                 let causes = match self.plan.fault {
                     Fault::Reload => &[Hold::NotArmed, Hold::Operator][..],
                     _ => &[Hold::Unclean],
@@ -203,11 +222,14 @@ impl World<'_> {
             }
             Stage::Refused => {
                 let is_fine = state == TwistState::Disarmed;
-                self.judge
-                    .check(is_fine, || format!("lost stop file: {state}"));
+                self.judge.check(Promise::Consent, is_fine, || {
+                    format!("{state} without a stop file")
+                });
             }
             Stage::Going if state == TwistState::Disarmed => {
-                self.judge.fail(|| format!("goes on: disarmed, {hold:?}"));
+                let is_lie = self.plan.fault.is_of_joints();
+                self.judge
+                    .check(Promise::GoesOn, is_lie, || format!("disarmed, {hold:?}"));
             }
             Stage::Guarded => self.trial.moved += u32::from(!is_still),
             Stage::Unwanted => self.observe_silence(is_still, state, hold),
@@ -223,21 +245,55 @@ impl World<'_> {
             return;
         }
         self.trial.stage = Stage::Moving;
+        if self.plan.fault == Fault::Nothing {
+            self.trial.until_ns = self.now_ns + ARRIVES_NS;
+            return;
+        }
         let periods = if self.plan.fault == Fault::NoAnswer {
             40..60
         } else {
             5..12
         };
-        let at_ns = self.now_ns + self.between(periods.start * PERIOD_NS, periods.end * PERIOD_NS);
-        self.queue.at(at_ns, Event::Strike);
+        let period_ns = self.plan.period_ns;
+        let after_ns = self.between(periods.start * period_ns, periods.end * period_ns);
+        self.queue.at(self.now_ns + after_ns, Event::Strike);
     }
 
-    fn observe_fault(&mut self, command: &TwistCommand, hold: Option<Hold>) {
+    /// It arrives in the end, or disarms for a cause that the fault may have.
+    fn observe_arrival(&mut self, state: TwistState, hold: Option<Hold>) {
+        let until_ns = match self.plan.fault {
+            Fault::Nothing => self.trial.until_ns,
+            _ => self.trial.since_ns + ARRIVES_NS,
+        };
+        let outcome = self.plan.fault.outcome(self.plan.period_ns);
+        match (state, outcome) {
+            (TwistState::Arrived, _) => {
+                self.judge.check(Promise::Arrives, true, String::new);
+                self.trial.stage = Stage::Over;
+            }
+            (TwistState::Disarmed, Outcome::Bears(causes)) => {
+                self.judge.cause(causes, hold);
+                self.trial.stage = Stage::Over;
+            }
+            (TwistState::Disarmed, _) => {
+                let disarmed = || format!("disarmed, {hold:?}");
+                self.judge.fail(Promise::Arrives, disarmed);
+            }
+            _ => {
+                let is_in_time = self.now_ns < until_ns;
+                self.judge.check(Promise::Arrives, is_in_time, || {
+                    format!("not in {} s: {state}, {hold:?}", ARRIVES_NS / SECOND)
+                });
+            }
+        }
+    }
+
+    fn observe_fault(&mut self, command: &TwistCommand, hold: Option<Hold>, now_ns: u64) {
         let Outcome::Disarms {
             causes,
             goes_on_ns,
             brakes,
-        } = self.plan.fault.outcome()
+        } = self.plan.fault.outcome(self.plan.period_ns)
         else {
             return;
         };
@@ -245,7 +301,7 @@ impl World<'_> {
         if self.plan.fault.is_of_eyes() {
             self.trial.since_ns = self.camera.good_ns();
         }
-        let Some(took_ns) = self.now_ns.checked_sub(self.trial.since_ns) else {
+        let Some(took_ns) = now_ns.checked_sub(self.trial.since_ns) else {
             return;
         };
         let (is_still, state) = (command.twist == [0.0; 6], command.state().unwrap());
@@ -262,25 +318,23 @@ impl World<'_> {
         }
         // The last command of the law, and the one that replaces it.
         if is_of_law || brakes {
-            self.judge.check(took_ns <= goes_on_ns + SLACK_NS, || {
-                format!("brake: the law goes on for {ms} ms")
+            let is_in_time = took_ns <= goes_on_ns + SLACK_NS;
+            self.judge.check(Promise::Brake, is_in_time, || {
+                format!("the law goes on for {ms} ms")
             });
         }
         let is_late = took_ns > zero_ns + SLACK_NS && !had_zero;
-        if is_of_law {
-            self.judge.check(took_ns <= goes_on_ns + SLACK_NS, || {
-                format!("brake: the law goes on for {ms} ms")
-            });
-        }
-        self.judge
-            .check(!is_late, || format!("zero: after {ms} ms, {hold:?}"));
-        let again = had_zero && !is_still;
-        self.judge.check(!again, || {
-            format!("zero: it moves again after {ms} ms, {hold:?}")
+        self.judge.check(Promise::Zero, !is_late, || {
+            format!("after {ms} ms, {hold:?}")
         });
+        let again = had_zero && !is_still;
+        self.judge
+            .check(Promise::Zero, !again || self.plan.fault.may_flare(), || {
+                format!("it moves again after {ms} ms, {hold:?}")
+            });
         let never = took_ns > zero_ns + 2 * SECOND;
-        self.judge.check(!never, || {
-            format!("disarm: not in {ms} ms: {state}, {hold:?}")
+        self.judge.check(Promise::Disarm, !never, || {
+            format!("not in {ms} ms: {state}, {hold:?}")
         });
         if is_still && state == TwistState::Disarmed {
             self.judge.cause(causes, hold);
@@ -300,7 +354,8 @@ impl World<'_> {
         self.robot.recover();
         self.late = (0, 0);
         self.see_well();
-        let wait_ns = FORGOTTEN_NS + self.between(3 * PERIOD_NS, 12 * PERIOD_NS);
+        let periods = FORGOTTEN + self.between(3, 12);
+        let wait_ns = periods * self.plan.period_ns;
         self.queue.at(self.now_ns + wait_ns, Event::Turn);
     }
 
@@ -328,34 +383,25 @@ impl World<'_> {
         };
         if is_moving {
             self.trial.figures.rest_ns = took_ns;
-            self.judge.check(took_ns <= REST_NS, || {
-                format!("rest: the robot moves {} ms after", took_ns / MS)
+            self.judge.check(Promise::Rest, took_ns <= REST_NS, || {
+                format!("the robot moves {} ms after", took_ns / MS)
             });
         }
     }
 
     /// The process has ended in order, with zero as its last word.
-    pub fn ended(&mut self, daemon: Daemon) {
-        let took_ns = self.now_ns - self.trial.since_ns;
-        self.trial.figures.end_ns = took_ns;
-        self.judge.check(took_ns <= END_NS, || {
-            format!("end: after {} ms", took_ns / MS)
-        });
-        if self.plan.fault != Fault::Reload {
-            self.trial.stage = Stage::Over;
+    pub fn observe_end(&mut self) {
+        if self.trial.stage != Stage::Ending {
             return;
         }
-        self.left = Left::Again(daemon.control().stops());
-        if let (true, Some(domain)) = (daemon.control().was_stopped(), &mut self.domain) {
-            domain.ask();
+        let took_ns = self.now_ns - self.trial.since_ns;
+        self.trial.figures.end_ns = took_ns;
+        self.judge.check(Promise::End, took_ns <= END_NS, || {
+            format!("after {} ms", took_ns / MS)
+        });
+        if self.plan.fault == Fault::Terminate {
+            self.trial.stage = Stage::Over;
         }
-        self.operators.iter_mut().for_each(Operator::forget);
-        self.judge.begins_again();
-        self.process += 1;
-        self.trial.stage = Stage::Gone;
-        let start_ns = self.now_ns + self.between(20 * MS, 200 * MS);
-        self.queue.at(start_ns, Event::Start);
-        self.queue.at(start_ns + FORGOTTEN_NS, Event::Turn);
     }
 
     /// The next part of the trial.
@@ -364,8 +410,9 @@ impl World<'_> {
             Stage::Waiting => {
                 if self.plan.fault == Fault::RobotUnheard {
                     let heard = self.operators[0].heard.and_then(|reply| reply.outcome());
-                    self.judge.check(heard == Some(Answer::NoRobot), || {
-                        format!("no robot: arm is answered {heard:?}")
+                    let is_refused = heard == Some(Answer::NoRobot);
+                    self.judge.check(Promise::NoRobot, is_refused, || {
+                        format!("arm is answered {heard:?}")
                     });
                     self.robot.recover();
                 }
@@ -383,13 +430,50 @@ impl World<'_> {
                     self.trial.strikes = 0;
                 }
                 let wrong = self.random.random_range(2..9);
-                self.operators[1].ask(Request::arm(0, wrong), self.now_ns);
+                self.ask(1, Request::arm(0, wrong));
                 self.arm_again();
             }
-            Stage::Going | Stage::Refused => self.trial.stage = Stage::Over,
-            Stage::Storm => self.storm(),
+            Stage::Visiting if self.visitor.is_none() => {
+                self.visit_goals(self.plan.fault);
+                self.queue.at(self.now_ns + VISIT_NS, Event::Turn);
+            }
+            Stage::Guarded => {
+                self.trial.stage = Stage::Watched;
+                self.queue.at(self.now_ns, Event::Strike);
+                self.queue.at(self.now_ns + 2 * SECOND, Event::Turn);
+            }
+            Stage::Going | Stage::Refused | Stage::Visiting | Stage::Watched => {
+                self.trial.stage = Stage::Over;
+            }
+            Stage::Storm => self.calm(),
+            Stage::Calm => {
+                // It stands.
+                self.camera.place(&self.plan.start);
+                self.trial.stage = Stage::Waiting;
+                let wait_ns = 2 * FORGOTTEN * self.plan.period_ns;
+                self.queue.at(self.now_ns + wait_ns, Event::Turn);
+            }
             _ => (),
         }
+    }
+
+    /// A storm is over, and nothing is wrong any more: the camera can be armed, and moves.
+    fn calm(&mut self) {
+        self.tell(|| "all is well".to_owned());
+        self.network.recover();
+        self.camera.recover();
+        self.robot.recover();
+        (self.late, self.unsent, self.visitor) = ((0, 0), 0, None);
+        for number in 0..MOST {
+            self.let_act(number, Habit::Idle);
+        }
+        self.let_act(0, Habit::Careful);
+        self.ask(1, Request::new(0, Action::Disarm));
+        let strategy = Request::strategy(0, StrategyCode::Previous, 0);
+        self.ask(1, strategy);
+        self.trial.stage = Stage::Calm;
+        (self.trial.is_armed_for, self.trial.strikes) = (false, 0);
+        self.queue.at(self.now_ns + SECOND, Event::Turn);
     }
 
     fn arm_again(&mut self) {
@@ -405,12 +489,23 @@ impl World<'_> {
         if is_armed {
             self.trial.stage = Stage::Guarded;
             self.trial.is_armed_for = false;
-            self.queue.at(self.now_ns, Event::Want);
+            match self.plan.fault {
+                // Nobody wants anything: it waits.
+                Fault::ToGoal => self.queue.at(self.now_ns + SECOND, Event::Turn),
+                Fault::Guardian => self.queue.at(self.now_ns, Event::Want),
+                _ => {
+                    self.queue.at(self.now_ns, Event::Want);
+                    self.queue.at(self.now_ns + SECOND / 2, Event::Strike);
+                }
+            }
         }
     }
 
     /// The guarded program says nothing more.
     pub fn policy_is_silent(&mut self) {
+        if self.trial.stage != Stage::Guarded {
+            return;
+        }
         self.trial.stage = Stage::Unwanted;
         self.trial.since_ns = self.now_ns - crate::policy::EVERY_NS;
     }
@@ -420,24 +515,26 @@ impl World<'_> {
         if is_still && self.trial.figures.zero_ns == 0 {
             self.trial.figures.zero_ns = took_ns;
         }
-        self.judge.check(is_still || took_ns <= SILENT_NS, || {
-            format!("guardian: it moves {} ms after the program", took_ns / MS)
+        let is_in_time = is_still || took_ns <= SILENT_NS;
+        self.judge.check(Promise::Guardian, is_in_time, || {
+            format!("it moves {} ms after the program", took_ns / MS)
         });
         if took_ns < SECOND {
             return;
         }
         let is_fine = (state, hold) == (TwistState::Holding, Some(Hold::Unwanted));
         self.judge
-            .check(is_fine, || format!("guardian: {state}, {hold:?}"));
+            .check(Promise::Guardian, is_fine, || format!("{state}, {hold:?}"));
         let moved = self.trial.moved;
-        self.judge.check(moved > MOVED, || {
-            format!("guardian: it moved in {moved} cycles")
+        self.judge.check(Promise::Guardian, moved > MOVED, || {
+            format!("it moved in {moved} cycles")
         });
         let least = self.referee.as_ref().map_or(0.0, |one| one.least_between());
         self.trial.figures.deepest_px = (-least).max(0.0);
-        self.judge.check(-least < DEEPEST_PX, || {
-            format!("guardian: a point is {:.1} px deep", -least)
-        });
+        self.judge
+            .check(Promise::Guardian, -least < DEEPEST_PX, || {
+                format!("a point is {:.1} px deep", -least)
+            });
         self.trial.stage = Stage::Over;
     }
 }

@@ -14,6 +14,7 @@ mod gallery;
 mod measure;
 mod python;
 mod release;
+mod simulate;
 mod stage;
 mod units;
 
@@ -111,6 +112,12 @@ enum Command {
         #[arg(long)]
         long: bool,
     },
+    /// Run many seeds of the simulation, and tell what each promise saw
+    Simulate {
+        /// How many
+        #[arg(long, default_value_t = 100_000)]
+        seeds: u64,
+    },
     /// Run what takes long: installations, every test at full length
     Long,
     /// Write the files that are made from the code
@@ -165,6 +172,7 @@ fn main() -> anyhow::Result<()> {
         Command::Clients => stage::clients(),
         Command::Judges => stage::judges(),
         Command::Measure { names, long } => measure::measure(&names, long),
+        Command::Simulate { seeds } => simulate::simulate(seeds),
         Command::Long => stage::long(),
         Command::Codegen { check } => codegen(check),
         Command::Book { directory, api } => book::book(&directory, api),
