@@ -61,9 +61,9 @@ pub struct Arguments {
     #[arg(long)]
     pub arm: bool,
 
-    /// After a SIGUSR2 vpcd begins itself again with this: disarmed, whatever else is said, after so
-    /// many stops.
-    #[arg(long, value_name = "STOPS", hide = true)]
+    /// After a SIGUSR2 vpcd begins itself again with this: disarmed, whatever else is said, under the
+    /// operator's stop or disarm of this name, if one stood.
+    #[arg(long, value_name = "VETO", hide = true)]
     pub again: Option<u32>,
 
     /// After N cycles, brake and stop.

@@ -117,14 +117,9 @@ impl<'m, W: World> Cycle<'m, W> {
         self.count
     }
 
-    /// Stops by operators so far.
-    pub fn stops(&self) -> u32 {
-        self.control.stops()
-    }
-
-    /// Whether an operator has stopped it since it was last armed.
-    pub fn was_stopped(&self) -> bool {
-        self.control.was_stopped()
+    /// The name of the last operator's stop or disarm since it was last armed; 0: none.
+    pub fn veto(&self) -> u32 {
+        self.control.veto()
     }
 
     /// Whether an operator has armed it.

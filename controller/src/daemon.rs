@@ -1,13 +1,14 @@
 //! The daemon from its command line to its exit code.
 
 use std::ffi::OsString;
+use std::hash::{BuildHasher, RandomState};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use clap::Parser;
-use ipc::{Asked, ControllerPorts, Domain, StopFile};
+use ipc::{ControllerPorts, Domain, StopFile};
 use messages::{ClockMode, Hold, RealTime};
 use program::Exit;
 
@@ -21,7 +22,7 @@ use crate::log::Log;
 use crate::machine::Machine;
 use crate::panicked::Panicked;
 use crate::preflight::{Cost, Facts};
-use crate::published::Published;
+use crate::published::{self, Published};
 use crate::reload::{Again, Reload, Successor};
 use crate::report::{Report, ReportError};
 use crate::service::{Notifier, Progress, Service, ServiceError};
@@ -128,10 +129,10 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     exit.into()
 }
 
-/// Lets the successor begin, if there is to be one, after so many stops.
+/// Lets the successor begin, if there is to be one, under the veto of this name.
 fn begin_again(successor: Option<(Successor, u32, Again)>) -> Result<(), Failure> {
-    successor.map_or(Ok(()), |(successor, stops, again)| {
-        Err(Failure::Again(successor.begin(stops, again)))
+    successor.map_or(Ok(()), |(successor, veto, again)| {
+        Err(Failure::Again(successor.begin(veto, again)))
     })
 }
 
@@ -222,8 +223,10 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
     let begins_armed = config.safety.armed && config.clock != ClockMode::Lockstep;
     let state = begins_armed.then(instance::state_directory).transpose()?;
     let mut instance = Instance::claim(domain.directory(), state.as_deref())?;
-    if let Some(stops) = arguments.again {
-        control.begin_again(stops);
+    // The hashers of the standard library are seeded with the kernel's random numbers.
+    control.name_vetoes(RandomState::new().hash_one(ipc::now_ns()));
+    if let Some(veto) = arguments.again {
+        control.begin_again(veto);
         instance.presence.follow();
     }
     let unclean = instance.presence.unclean.clone();
@@ -236,6 +239,9 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
     }
     let ports = ControllerPorts::open(&domain)?;
     let mut stop_file = StopFile::open(domain.directory())?;
+    if arguments.again.is_some() {
+        published::warn_of_changes(domain.directory(), &loaded.files, &printed);
+    }
     let published = publish(&loaded, &printed, domain.directory());
     let (producer, consumer) = flight::queue();
     let (progress, again) = (Progress::default(), Again::default());
@@ -290,7 +296,7 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
     };
     drop(std::panic::take_hook());
     instance.presence.has_consent = cycle.has_consent();
-    let (stops, was_stopped) = (cycle.stops(), cycle.was_stopped());
+    let veto = cycle.veto();
     let is_again = again.is_asked();
     drop(cycle);
     let machine = Report {
@@ -306,7 +312,11 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
     instance.presence.is_followed =
         !is_ended && outcome.is_ok() && stopped.is_ok() && reported.is_ok();
     // The ports are closed: the next one may come.
-    drop(published);
+    match published {
+        // It compares.
+        Some(published) if instance.presence.is_followed => published.leave(),
+        published => drop(published),
+    }
     drop(instance);
     outcome.map_err(|source| Failure::Send {
         most: MOST_FAILURES,
@@ -317,11 +327,7 @@ pub fn run(arguments: &Arguments) -> Result<Option<(Successor, u32, Again)>, Fai
     if is_ended {
         return Ok(None);
     }
-    if was_stopped {
-        // So that no arming but one that names the stop moves the successor either.
-        Asked::in_domain(domain.directory())?;
-    }
-    Ok(Some((successor, stops, again)))
+    Ok(Some((successor, veto, again)))
 }
 
 /// Leaves scene and configuration in the domain, where viewers and recorders find them. They do

@@ -7,7 +7,9 @@ use std::os::unix::fs::DirBuilderExt;
 use std::path::{Component, Path, PathBuf};
 
 use ipc::{CONFIG_FILE, SCENE_FILE};
-use scene::SceneFiles;
+use scene::{FileError, SceneFiles};
+use toml_schema::{Difference, Document};
+use tracing::warn;
 
 /// The files, in directories of their own that are removed with this. What a killed daemon left is
 /// overwritten.
@@ -37,6 +39,11 @@ impl Published {
         replace(&scene, files.text.as_bytes())?;
         Ok(published)
     }
+
+    /// Leaves them to the daemon that begins again.
+    pub fn leave(self) {
+        std::mem::forget(self);
+    }
 }
 
 impl Drop for Published {
@@ -46,6 +53,25 @@ impl Drop for Published {
             let _ = fs::remove_dir_all(directory);
         }
     }
+}
+
+/// Warns of each key that the daemon before had otherwise, as it left them in the domain, but for
+/// the goal and the region of starts.
+pub fn warn_of_changes(domain: &Path, files: &SceneFiles, config: &str) {
+    match changes(domain, files, config) {
+        Ok(changes) => changes
+            .iter()
+            .for_each(|change| warn!("begins again with another {change}")),
+        Err(error) => warn!(%error, "begins again; what has changed is unknown: {error}"),
+    }
+}
+
+fn changes(domain: &Path, files: &SceneFiles, config: &str) -> Result<Vec<Difference>, FileError> {
+    let before = SceneFiles::read(&domain.join(SCENE_FILE))?;
+    let mut changes = before.differences(files);
+    let before = Document::read(Some(&domain.join(CONFIG_FILE)))?;
+    changes.extend(before.differences(&Document::parse(config, CONFIG_FILE)?));
+    Ok(changes)
 }
 
 fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {

@@ -161,10 +161,10 @@ impl Successor {
         Ok(Self { go, thread })
     }
 
-    /// Executes the program again, after so many stops; of this one nothing is left but its
-    /// process, and what was checked.
-    pub fn begin(self, stops: u32, again: Again) -> io::Error {
-        let _ = self.go.send((stops, again));
+    /// Executes the program again, under the veto of this name; of this one nothing is left but
+    /// its process, and what was checked.
+    pub fn begin(self, veto: u32, again: Again) -> io::Error {
+        let _ = self.go.send((veto, again));
         let why = self.thread.join().ok().flatten();
         why.unwrap_or_else(|| io::Error::other("the thread that begins again died"))
     }
@@ -172,7 +172,7 @@ impl Successor {
 
 /// Executes the program again; returns only if that failed.
 #[expect(clippy::disallowed_methods, reason = "it begins no child")]
-fn execute((stops, again): (u32, Again)) -> io::Error {
+fn execute((veto, again): (u32, Again)) -> io::Error {
     let prepared = || {
         // Until the new one listens, they would end it.
         renewing().chain([SIGUSR1]).try_for_each(program::ignore)?;
@@ -181,7 +181,7 @@ fn execute((stops, again): (u32, Again)) -> io::Error {
     };
     match prepared() {
         Ok((file, checked)) => Command::new(file)
-            .args(arguments(stops))
+            .args(arguments(veto))
             .stdin(checked)
             .exec(),
         Err(error) => error,
@@ -196,8 +196,8 @@ fn file() -> io::Result<PathBuf> {
 }
 
 /// The command line, with `--again`.
-fn arguments(stops: u32) -> impl Iterator<Item = OsString> {
+fn arguments(veto: u32) -> impl Iterator<Item = OsString> {
     let given = std::env::args_os().skip(1);
     let kept = given.filter(|word| !word.as_encoded_bytes().starts_with(b"--again="));
-    kept.chain([format!("--again={stops}").into()])
+    kept.chain([format!("--again={veto}").into()])
 }

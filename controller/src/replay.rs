@@ -149,8 +149,8 @@ fn repeat_request(control: &mut ControlStep, reply: &Reply) -> Result<(), Box<Di
         return Ok(());
     };
     request.stamp.published_ns = reply.stamp.data_ns;
-    // Also where it names a stop and does not arm.
-    request.stops = reply.seen;
+    // Also where it names a veto and does not arm.
+    request.veto = reply.named;
     let mut replayed = control.request(&request, reply.cycle);
     replayed.stamp = reply.stamp;
     difference::compare_messages(reply.cycle, "reply.", reply, &replayed)

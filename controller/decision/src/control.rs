@@ -157,19 +157,20 @@ impl<'m> ControlStep<'m> {
         self.supervisor.rules()
     }
 
-    /// Before the first cycle: begins disarmed, after so many stops of the one before.
-    pub fn begin_again(&mut self, stops: u32) {
-        self.supervisor.begin_again(stops);
+    /// Before the first cycle: begins disarmed, under the veto of this name that stood before; 0:
+    /// none stood.
+    pub fn begin_again(&mut self, veto: u32) {
+        self.supervisor.begin_again(veto);
     }
 
-    /// Stops by operators so far.
-    pub fn stops(&self) -> u32 {
-        self.supervisor.stops()
+    /// Before the first cycle: the names of vetoes follow from this secret seed.
+    pub fn name_vetoes(&mut self, seed: u64) {
+        self.supervisor.name_vetoes(seed);
     }
 
-    /// Whether an operator has stopped it since it was last armed.
-    pub fn was_stopped(&self) -> bool {
-        self.supervisor.was_stopped()
+    /// The name of the last operator's stop or disarm since it was last armed; 0: none.
+    pub fn veto(&self) -> u32 {
+        self.supervisor.veto().map_or(0, |veto| veto.name)
     }
 
     /// Whether an operator has armed it.
@@ -189,7 +190,7 @@ impl<'m> ControlStep<'m> {
             (Some(Action::Strategy), Some(code)) => self.change(code, request.neighbours),
             (None, _) | (Some(Action::Strategy), None) => Outcome::Unknown,
             // Whatever else it says: a stop is a stop.
-            (Some(action), _) => self.supervisor.request(action, request.stops),
+            (Some(action), _) => self.supervisor.request(action, request.veto),
         };
         if (request.action(), outcome) == (Some(Action::Arm), Outcome::Done) {
             self.law.be_patient();
@@ -214,8 +215,9 @@ impl<'m> ControlStep<'m> {
             hold: Hold::number(hold),
             strategy: strategy.code(),
             neighbours,
-            stops: self.supervisor.stops(),
-            seen: request.stops,
+            veto: self.veto(),
+            named: request.veto,
+            veto_ns: self.supervisor.veto().map_or(0, |veto| veto.since_ns),
         }
     }
 
@@ -497,7 +499,7 @@ impl<'m> ControlStep<'m> {
         let (code, seen) = inputs.desired.wire();
         (record.desired_input, record.desired_seen) = (code.code(), seen);
         record.missed = inputs.missed;
-        record.stops = self.supervisor.stops();
+        record.veto = self.veto();
         for (flag, is_set) in [
             (CycleFlags::SHUTDOWN, inputs.shutdown),
             (CycleFlags::SUSPENDED, inputs.suspended),
@@ -510,17 +512,21 @@ impl<'m> ControlStep<'m> {
         contract::strategy_code(self.law.settings().strategy)
     }
 
+    /// Changes the strategy. Who armed a policy's guard did not ask for a goal, nor the other way
+    /// round: such a change disarms.
     fn change(&mut self, code: StrategyCode, neighbours: u32) -> Outcome {
-        match contract::strategy(code, neighbours) {
-            None => Outcome::Neighbours,
-            Some(strategy)
-                if law::has_memory(self.memory.as_ref(), strategy)
-                    && self.law.set_strategy(strategy).is_ok() =>
-            {
-                Outcome::Done
-            }
-            Some(_) => Outcome::NoMemory,
+        let Some(strategy) = contract::strategy(code, neighbours) else {
+            return Outcome::Neighbours;
+        };
+        let followed = self.follows();
+        let has_memory = law::has_memory(self.memory.as_ref(), strategy);
+        if !has_memory || self.law.set_strategy(strategy).is_err() {
+            return Outcome::NoMemory;
         }
+        if followed != self.follows() && self.supervisor.is_armed() {
+            self.supervisor.request(Action::Disarm, 0);
+        }
+        Outcome::Done
     }
 }
 

@@ -14,6 +14,7 @@
 //! - [`gate`]: order and age of the features
 //! - [`robot`]: a robot that is at fault, silent, or not following
 //! - [`law`]: the last check of the law's twist
+//! - [`veto`]: an operator's stop or disarm, which the next arming names
 //! - [`supervisor`]: armed, braking, disarmed
 //! - [`control`]: the whole decision
 //! - [`snapshot`]: its state as bytes
@@ -35,6 +36,7 @@ pub mod robot;
 pub mod rules;
 pub mod snapshot;
 pub mod supervisor;
+pub mod veto;
 
 pub use control::{Answer, ControlStep};
 pub use decision::Decision;

@@ -110,6 +110,8 @@ mod tests {
         gate.judge(&Input::Message(message), u64::MAX);
         gate.approve();
         let mut supervisor = Supervisor::new(rules);
+        supervisor.begin_again(u32::MAX);
+        supervisor.name_vetoes(u64::MAX);
         supervisor.supervise(
             &Situation {
                 decision,

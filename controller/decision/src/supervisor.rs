@@ -22,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::decision::Decision;
 use crate::rules::{AfterArrival, Rules};
+use crate::veto::{Names, Veto};
 
 /// Cycles in a row with missed releases, or with a solver that failed, after which the camera is
 /// stopped.
@@ -73,11 +74,9 @@ pub struct Supervisor {
     sent: Decision,
     /// Whether the law's twist is taken up again, and was not reached yet.
     is_ramping: bool,
-    /// Whether an operator has stopped it since the last cycle.
-    is_stopped: bool,
-    /// Stops by operators so far, and whether one came since the last arming.
-    stops: u32,
-    is_stop_new: bool,
+    /// The last operator's stop or disarm since the last arming, and the names of those to come.
+    veto: Option<Veto>,
+    names: Names,
     /// Whether an operator has armed it.
     has_consent: bool,
     /// Since when it waits for camera and robot, if it began armed and has not met them yet.
@@ -114,9 +113,8 @@ impl Supervisor {
             last: None,
             sent: Decision::hold(Hold::NoFeatures),
             is_ramping: true,
-            is_stopped: false,
-            stops: 0,
-            is_stop_new: false,
+            veto: None,
+            names: Names(0),
             has_consent: false,
             waits_since: None,
             has_met: !rules.begins_armed || rules.lost_ns.is_none(),
@@ -132,15 +130,26 @@ impl Supervisor {
         (self.mode, self.has_met) = (Mode::Disarmed(hold), true);
     }
 
-    /// Before the first cycle: begins disarmed, after so many stops of the one before.
-    pub fn begin_again(&mut self, stops: u32) {
+    /// Before the first cycle: begins disarmed, under the veto of this name that stood before; 0:
+    /// none stood.
+    pub fn begin_again(&mut self, veto: u32) {
         self.begin_disarmed(Hold::NotArmed);
-        self.stops = stops;
+        self.veto = Veto::named(veto);
+    }
+
+    /// Before the first cycle: the names of vetoes follow from this secret seed.
+    pub fn name_vetoes(&mut self, seed: u64) {
+        self.names = Names(seed);
     }
 
     /// Its settings.
     pub fn rules(&self) -> Rules {
         self.rules
+    }
+
+    /// Whether the law may move the camera.
+    pub fn is_armed(&self) -> bool {
+        self.mode == Mode::Armed
     }
 
     /// Whether the last twist was zero.
@@ -159,14 +168,9 @@ impl Supervisor {
         }
     }
 
-    /// Stops by operators so far.
-    pub fn stops(&self) -> u32 {
-        self.stops
-    }
-
-    /// Whether an operator has stopped it since it was last armed.
-    pub fn was_stopped(&self) -> bool {
-        self.is_stop_new
+    /// The last operator's stop or disarm since it was last armed.
+    pub fn veto(&self) -> Option<Veto> {
+        self.veto
     }
 
     /// Whether an operator has armed it.
@@ -175,16 +179,20 @@ impl Supervisor {
     }
 
     /// Takes an operator's request: arm, disarm, stop. It is judged by the situation of the last
-    /// cycle, and counts from the next cycle on. `seen` is the count of stops that an arming names.
-    /// Other actions do not concern the supervisor.
-    pub fn request(&mut self, action: Action, seen: u32) -> Outcome {
+    /// cycle, and counts from the next cycle on. `named` is the veto that an arming names. Other
+    /// actions do not concern the supervisor.
+    pub fn request(&mut self, action: Action, named: u32) -> Outcome {
         match action {
-            Action::Arm => return self.arm(seen),
-            Action::Disarm => self.disarm(Hold::Operator),
+            Action::Arm => return self.arm(named),
+            Action::Disarm => {
+                self.disarm(Hold::Operator);
+                // After a stop it stays one.
+                let stands = self.veto.and_then(|veto| Action::of_veto(veto.name));
+                self.forbid(stands == Some(Action::Stop));
+            }
             Action::Stop => {
                 self.mode = Mode::Disarmed(Hold::Operator);
-                self.stops = self.stops.saturating_add(1);
-                (self.is_stopped, self.is_stop_new) = (true, true);
+                self.forbid(true);
             }
             Action::Status | Action::Strategy | Action::Record | Action::Recover => (),
         }
@@ -226,7 +234,9 @@ impl Supervisor {
         self.has_arrived |= decision.state == TwistState::Arrived
             && self.rules.after_arrival != AfterArrival::Follow;
         self.sent = decision;
-        self.is_stopped = false;
+        if let Some(veto) = &mut self.veto {
+            veto.pass(now_ns);
+        }
         self.situation = Some(*situation);
         decision
     }
@@ -239,7 +249,12 @@ impl Supervisor {
         !self.has_met && now_ns.saturating_sub(since) > PEERS_NS
     }
 
-    fn arm(&mut self, seen: u32) -> Outcome {
+    /// Until somebody arms who names it.
+    fn forbid(&mut self, is_stop: bool) {
+        self.veto = Veto::named(self.names.next(is_stop));
+    }
+
+    fn arm(&mut self, named: u32) -> Outcome {
         let Some(situation) = self.situation else {
             return Outcome::NoFeatures;
         };
@@ -252,13 +267,17 @@ impl Supervisor {
                 return Outcome::Done;
             }
             Mode::Disarming(_) => return Outcome::Braking,
-            // Its zero goes out before anything moves again.
-            Mode::Disarmed(_) if self.is_stopped => return Outcome::Braking,
-            // The operator must name it.
-            Mode::Disarmed(_) if seen != self.stops && (seen != 0 || self.is_stop_new) => {
-                return Outcome::Stopped;
-            }
             Mode::Disarmed(_) => (),
+        }
+        if let Some(veto) = self.veto {
+            let is_live = self.rules.lost_ns.is_some();
+            if veto.name != named {
+                return Outcome::Vetoed;
+            }
+            // Its zero goes out before anything moves again.
+            if veto.is_fresh(self.last.unwrap_or(0), is_live) {
+                return Outcome::Braking;
+            }
         }
         match situation.robot {
             None => (),
@@ -274,7 +293,7 @@ impl Supervisor {
             Some(_) => return Outcome::NoFeatures,
         }
         (self.overruns, self.failures) = (0, 0);
-        (self.is_stop_new, self.has_arrived) = (false, false);
+        (self.veto, self.has_arrived) = (None, false);
         (self.has_consent, self.has_met) = (true, true);
         self.mode = Mode::Armed;
         Outcome::Done

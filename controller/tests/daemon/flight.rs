@@ -125,7 +125,7 @@ impl<'m> Flight<'m> {
             cycle,
             ..CycleRecord::default()
         };
-        for request in self.world.requests(cycle) {
+        for request in self.world.requests(cycle, self.control.veto()) {
             let mut reply = self.control.request(&request, cycle);
             reply.stamp.published_ns = self.world.now_ns + 1;
             self.producer.reply(&reply);
@@ -217,7 +217,8 @@ impl World {
         }
     }
 
-    fn requests(&mut self, cycle: u64) -> Vec<Request> {
+    /// Of operators who have seen the veto that stands.
+    fn requests(&mut self, cycle: u64, veto: u32) -> Vec<Request> {
         let strategies = [
             (StrategyCode::Previous, 0),
             (StrategyCode::Knn, 5),
@@ -230,7 +231,7 @@ impl World {
         ];
         let mut requests = Vec::new();
         if cycle.is_multiple_of(50) {
-            requests.push(Request::arm(cycle, u32::from(cycle > STOP)));
+            requests.push(Request::arm(cycle, veto));
         }
         if cycle.is_multiple_of(200) {
             let (strategy, neighbours) = strategies[(cycle / 200) as usize % strategies.len()];

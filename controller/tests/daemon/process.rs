@@ -237,15 +237,19 @@ fn an_operator_arms_changes_the_strategy_disarms_and_stops() {
     bench.moves();
     assert_eq!(ask(&|id| Request::new(id, Action::Disarm)).0, Outcome::Done);
     stands(bench.frame());
-    assert_eq!(ask(&arm).0, Outcome::Done);
+    // Who arms after a disarm or a stop names it.
+    let (outcome, reply) = ask(&arm);
+    assert_eq!(outcome, Outcome::Vetoed);
+    let veto = reply.veto;
+    assert_eq!(ask(&|id| Request::arm(id, veto)).0, Outcome::Done);
     bench.moves();
     let (outcome, reply) = ask(&|id| Request::new(id, Action::Stop));
     assert_eq!((outcome, reply.state()), (Outcome::Done, Some(Disarmed)));
     stands(bench.frame());
-    // Who arms after a stop names it.
-    assert_eq!(ask(&arm).0, Outcome::Stopped);
+    let veto = reply.veto;
+    assert_eq!(ask(&arm).0, Outcome::Vetoed);
     stands(bench.frame());
-    assert_eq!(ask(&|id| Request::arm(id, 1)).0, Outcome::Done);
+    assert_eq!(ask(&|id| Request::arm(id, veto)).0, Outcome::Done);
     bench.moves();
     let (code, log) = daemon.terminated().log();
     assert_eq!(code, 0, "{log}");

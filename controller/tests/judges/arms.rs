@@ -1,6 +1,6 @@
 //! Several arms on one machine: an instance of each unit for each, under a real systemd (root only).
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::fixture::{eventually, not_run, root};
 use crate::machine::Machine;
@@ -82,12 +82,15 @@ fn a_stop_or_crash_of_one_of_three_arms_is_its_own() {
     });
     // The middle one is the same as before, and nobody has stopped it.
     assert_eq!(show("middle", "MainPID"), before);
-    let stops = |arm: &str| -> Value {
+    let vetoed = |arm: &str| -> Value {
         let (_, said) = control(&machine, arm, "status --json --watch 0.5");
         let status: Value = serde_json::from_str(&said).unwrap();
-        status["stops"].clone()
+        status["veto"]["action"].clone()
     };
-    assert_eq!(["left", "middle", "right"].map(stops), [1, 0, 0]);
+    assert_eq!(
+        ["left", "middle", "right"].map(vetoed),
+        [json!("stop"), json!(null), json!(null)]
+    );
     assert_eq!(show("left", "NRestarts"), "0");
     assert_eq!(show("middle", "NRestarts"), "0");
     let (_, said) = control(&machine, "left", "status --watch 0.1");

@@ -115,15 +115,10 @@ impl Command {
 /// The command line of `arm`.
 #[derive(Clone, Debug, Args)]
 pub struct ArmArguments {
-    /// Arm in spite of stops: their count, which the refusal and status tell. Another stop since
-    /// then makes it old.
-    #[arg(
-        long,
-        value_name = "COUNT",
-        default_value_t = 0,
-        hide_default_value = true
-    )]
-    pub stops: u32,
+    /// Arm in spite of this stop, or disarm of another operator: its number, which the refusal and
+    /// status tell. A disarm before this command needs none.
+    #[arg(long, value_name = "NUMBER")]
+    pub veto: Option<u32>,
 
     /// As of every request.
     #[command(flatten)]

@@ -75,12 +75,16 @@ pub fn main(line: impl IntoIterator<Item = OsString>) -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<Exit, Failure> {
+    let asked_ns = ipc::now_ns();
     let directory = arguments.directory();
     let ask = |request: Request, with: &RequestArguments| {
         request::ask(&directory, &request, with.timeout)
     };
     let (text, exit) = match &arguments.command {
-        Command::Arm(with) => ask(request::arm(with.stops), &with.request)?,
+        Command::Arm(with) => {
+            let known = request::known(&directory, with.veto, asked_ns, with.request.timeout)?;
+            ask(request::arm(known), &with.request)?
+        }
         Command::Disarm(with) => ask(request::plain(Action::Disarm), with)?,
         Command::Stop(with) if with.all => stop::stop_all(with.request.timeout),
         Command::Stop(with) => stop::stop(&directory, with.request.timeout)?,
@@ -122,7 +126,7 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
             return serve::run(watcher, plane, with.listen, with.control);
         }
         Command::Teach(with) => (teach::teach(&directory, with, &mut Monotonic)?, Exit::Ok),
-        Command::Visit(with) => return visit::visit(&directory, with),
+        Command::Visit(with) => return visit::visit(&directory, with, asked_ns),
         Command::Init(with) => (init::init(with)?, Exit::Ok),
         Command::Completions { shell } => {
             let script = manual::completions(*shell);

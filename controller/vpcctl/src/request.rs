@@ -14,6 +14,8 @@ use crate::view::word;
 
 /// Pause between two attempts to get an operator's place.
 const PAUSE: Duration = Duration::from_millis(10);
+/// After what time a disarm without an answer is asked for again.
+const AGAIN: Duration = Duration::from_millis(200);
 /// Until when a request that leads to motion is answered with a refusal, and a little more.
 const LATE: Duration = Duration::from_nanos(Request::LATE_NS * 3 / 2);
 /// A number that no other operator uses: the standard library's hashers are seeded with the
@@ -27,9 +29,29 @@ pub fn plain(action: Action) -> Request {
     Request::new(fresh_id(), action)
 }
 
-/// A request to arm in spite of so many stops.
-pub fn arm(stops: u32) -> Request {
-    Request::arm(fresh_id(), stops)
+/// A request to arm in spite of this veto; 0: of none.
+pub fn arm(veto: u32) -> Request {
+    Request::arm(fresh_id(), veto)
+}
+
+/// The veto that an operator who asked at `asked_ns` (CLOCK_MONOTONIC) arms in spite of: the one
+/// that is `named`, else a disarm that came before. A stop, and what came later, was perhaps not
+/// seen: 0.
+///
+/// # Errors
+/// As [`send`].
+pub fn known(
+    directory: &Path,
+    named: Option<u32>,
+    asked_ns: u64,
+    timeout: Duration,
+) -> Result<u32, Failure> {
+    if let Some(named) = named {
+        return Ok(named);
+    }
+    let reply = send(directory, &plain(Action::Status), timeout)?;
+    let is_known = Action::of_veto(reply.veto) == Some(Action::Disarm) && reply.veto_ns <= asked_ns;
+    Ok(if is_known { reply.veto } else { 0 })
 }
 
 /// A request for another strategy; `neighbours` is for knn, else 0.
@@ -62,8 +84,20 @@ pub fn send(directory: &Path, request: &Request, timeout: Duration) -> Result<Re
         // After giving up, no request remains that could still move the camera.
         left = left.max(LATE);
     }
-    let reply = operator.ask(request, left)?;
-    reply.ok_or_else(|| no_answer(directory, timeout))
+    // A daemon that begins again meanwhile has not seen it, and a disarm may be asked for twice.
+    let each = match request.action() {
+        Some(Action::Disarm) => AGAIN,
+        _ => left,
+    };
+    loop {
+        if let Some(reply) = operator.ask(request, left.min(each))? {
+            return Ok(reply);
+        }
+        left = end.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            return Err(no_answer(directory, timeout));
+        }
+    }
 }
 
 fn no_answer(directory: &Path, timeout: Duration) -> Failure {
@@ -100,9 +134,9 @@ pub fn outcome(reply: &Reply) -> (String, Exit) {
     let cause = (reply.hold()).map_or(String::new(), |hold| format!(" ({hold})"));
     let strategy = strategy_name(reply.strategy, reply.neighbours);
     let mut line = format!("{action}: {outcome}; {state}{cause}, strategy {strategy}\n");
-    if reply.outcome() == Some(Outcome::Stopped) {
-        let stops = reply.stops;
-        line += &format!("look first; to arm all the same: vpcctl arm --stops {stops}\n");
+    if reply.outcome() == Some(Outcome::Vetoed) {
+        let veto = reply.veto;
+        line += &format!("look first; to arm all the same: vpcctl arm --veto {veto}\n");
     }
     match reply.outcome() {
         Some(Outcome::Done) => (line, Exit::Ok),
@@ -135,8 +169,9 @@ mod tests {
             hold: Hold::NotArmed.code(),
             strategy: StrategyCode::Knn.code(),
             neighbours: 5,
-            stops: 2,
-            seen: 0,
+            veto: 17,
+            named: 0,
+            veto_ns: 0,
         }
     }
 
@@ -149,8 +184,8 @@ mod tests {
         );
         assert_eq!(exit, Exit::Refused);
         assert_eq!(outcome(&reply(Outcome::Done)).1, Exit::Ok);
-        let (line, exit) = outcome(&reply(Outcome::Stopped));
-        assert!(line.ends_with("\nlook first; to arm all the same: vpcctl arm --stops 2\n"));
+        let (line, exit) = outcome(&reply(Outcome::Vetoed));
+        assert!(line.ends_with("\nlook first; to arm all the same: vpcctl arm --veto 17\n"));
         assert_eq!(exit, Exit::Refused);
     }
 

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use program::Exit;
 use rustix::process::{Pid, Signal, kill_process};
-use scene::Scene;
+use scene::SceneFiles;
 
 use crate::failure::Failure;
 use crate::presence::{self, Presence};
@@ -63,22 +63,43 @@ impl Daemon {
         })
     }
 
+    /// Checks the text of a scene that is to take the place of the daemon's, with the files beside
+    /// that one: what it says of more than goal and starts is as the daemon has it, but for the
+    /// keys and tables that are `accepted`.
+    ///
+    /// # Errors
+    /// The scene is wrong, or differs: names each key with both values.
+    pub fn check(&self, text: String, accepted: &[String]) -> Result<(), Failure> {
+        let new = SceneFiles::parse_at(text, &self.scene)?;
+        let mut others = SceneFiles::read(&self.directory.join(ipc::SCENE_FILE))?.differences(&new);
+        others.retain(|one| !accepted.iter().any(|name| one.is_within(name)));
+        if others.is_empty() {
+            return Ok(());
+        }
+        let differ: Vec<_> = others.iter().map(ToString::to_string).collect();
+        let message = format!(
+            "not only goal and starts differ from the daemon's scene: {}; allowed: the same, or --accept KEY for each key or table",
+            differ.join(", ")
+        );
+        Err(Failure::new(Exit::Refused, message))
+    }
+
     /// Puts these files in the places of the daemon's, and waits until it has begun again,
     /// disarmed. What was there is kept beside, as `*.before`, where `keeps` says so.
     ///
     /// # Errors
-    /// A file is wrong or cannot be moved, `stop` was set, or the daemon does not take them: then
-    /// its files are as before.
+    /// As [`Daemon::check`]. A file cannot be moved, `stop` was set, or the daemon does not take
+    /// them: then its files are as before.
     pub fn take_up(
         &self,
         scene: &Path,
         memory: Option<&Path>,
         keeps: bool,
+        accepted: &[String],
         stop: &AtomicBool,
     ) -> Result<(), Failure> {
         let text = fs::read_to_string(scene)?;
-        // With the files beside the daemon's, before anything is moved.
-        Scene::parse(&text, &self.scene.display().to_string())?;
+        self.check(text.clone(), accepted)?;
         let memory = memory.zip(self.memory.as_deref());
         let pairs = || [(scene, &*self.scene)].into_iter().chain(memory);
         for (new, old) in pairs() {
@@ -257,5 +278,35 @@ mod tests {
         assert_eq!(fs::read(path("own.toml.before")).unwrap(), b"first");
         assert_eq!(fs::read(path("own.toml.before.2")).unwrap(), b"second");
         assert_eq!(fs::read_dir(place.path()).unwrap().count(), 7);
+    }
+
+    #[test]
+    fn a_scene_with_other_limits_is_taken_up_by_name_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let told = place.path().join(ipc::SCENE_FILE);
+        fs::create_dir_all(told.parent().unwrap()).unwrap();
+        fs::write(&told, scene::PAPER_SIM).unwrap();
+        let daemon = Daemon {
+            directory: place.path().to_owned(),
+            process: rustix::process::getpid(),
+            scene: place.path().join("own.toml"),
+            memory: None,
+        };
+        let check = |text: &str, accepted: &[&str]| {
+            let accepted: Vec<_> = accepted.iter().map(ToString::to_string).collect();
+            let checked = daemon.check(text.to_owned(), &accepted);
+            checked.map_err(|failure| failure.to_string())
+        };
+        let there = "[0.0, 0.0, 0.7]";
+        let goal = scene::with_value(scene::PAPER_SIM, "goal", "translation", there).unwrap();
+        assert_eq!(check(&goal, &[]), Ok(()));
+        let faster = scene::with_value(&goal, "limits", "linear", "5.0").unwrap();
+        let faster = scene::with_value(&faster, "success", "time_s", "20.0").unwrap();
+        let refused = check(&faster, &["success"]).unwrap_err();
+        assert!(
+            refused.contains(": limits.linear: 0.5 -> 5.0; allowed: "),
+            "{refused}"
+        );
+        assert_eq!(check(&faster, &["success.time_s", "limits"]), Ok(()));
     }
 }

@@ -65,6 +65,11 @@ pub struct TeachArguments {
     #[arg(long, conflicts_with_all = ["output", "scene", "build", "force"])]
     pub replace: bool,
 
+    /// With --replace: take up what the daemon's scene file says otherwise in this key or table than
+    /// when the daemon read it; may be repeated.
+    #[arg(long, value_name = "KEY", requires = "replace")]
+    pub accept: Vec<String>,
+
     /// How long to look, 0.05 to 3600 s.
     #[arg(long, value_name = "SECONDS", default_value = "1", value_parser = seconds)]
     pub watch: Duration,
@@ -96,7 +101,8 @@ pub fn teach(
     clock: &mut dyn Clock,
 ) -> Result<String, Failure> {
     let Some(output) = &with.output else {
-        return replace(directory, with.watch, &*program::stop_on_signals()?, clock);
+        let stop = program::stop_on_signals()?;
+        return replace(directory, with.watch, &with.accept, &stop, clock);
     };
     let name = output.display();
     if !with.force && output.symlink_metadata().is_ok() {
@@ -141,6 +147,7 @@ pub fn teach(
 pub fn replace(
     directory: &Path,
     watch: Duration,
+    accepted: &[String],
     stop: &AtomicBool,
     clock: &mut dyn Clock,
 ) -> Result<String, Failure> {
@@ -160,7 +167,7 @@ pub fn replace(
         take_up::build(&scene, memory)?;
     }
     let points = Scene::read(&scene)?.pattern.len();
-    daemon.take_up(&scene, memory.as_deref(), true, stop)?;
+    daemon.take_up(&scene, memory.as_deref(), true, accepted, stop)?;
     await_features(directory, points, stop, clock);
     let _ = writeln!(
         text,

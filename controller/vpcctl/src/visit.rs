@@ -9,6 +9,7 @@ use clap::Args;
 use memory_blob::MemoryFile;
 use messages::{Action, Outcome, TwistState};
 use program::Exit;
+use scene::SceneFiles;
 
 use crate::failure::Failure;
 use crate::status::Status;
@@ -32,31 +33,46 @@ pub struct VisitArguments {
     #[arg(value_name = "FILE", required = true)]
     pub scenes: Vec<PathBuf>,
 
+    /// Take up what differs from the daemon's scene in this key or table, such as `limits`; may be
+    /// repeated. Goal and starts may differ in any case.
+    #[arg(long, value_name = "KEY")]
+    pub accept: Vec<String>,
+
+    /// Arm in spite of this stop, as `arm --veto`.
+    #[arg(long, value_name = "NUMBER")]
+    pub veto: Option<u32>,
+
     /// How long the way to a goal may take, 0.05 to 3600 s.
     #[arg(long, value_name = "SECONDS", default_value = "120", value_parser = seconds)]
     pub within: Duration,
 }
 
 /// Lets the daemon take up each scene, arms it, and waits until the camera has arrived. Says so for
-/// each.
+/// each. `asked_ns` is when the operator asked, CLOCK_MONOTONIC.
 ///
 /// # Errors
-/// As [`Daemon`]. A stop ends the visit, and so does who disarms on the way. Where a goal is not
-/// reached in time, or a signal ends it, the daemon is disarmed.
-pub fn visit(directory: &Path, with: &VisitArguments) -> Result<Exit, Failure> {
+/// As [`Daemon`]. A stop or a disarm since then ends the visit. Where a goal is not reached in
+/// time, or a signal ends it, the daemon is disarmed.
+pub fn visit(directory: &Path, with: &VisitArguments, asked_ns: u64) -> Result<Exit, Failure> {
     let stop = program::stop_on_signals()?;
     let _turn = take_up::turn(directory)?;
-    let has_memory = Daemon::of(directory)?.memory.is_some();
     // Before anything moves: wrong files are refused, and one may be the daemon's own.
-    let goals = with.scenes.iter().map(|path| Goal::read(path, has_memory));
+    let daemon = Daemon::of(directory)?;
+    let goals = with.scenes.iter().map(|path| Goal::read(path, &daemon));
     let goals: Vec<_> = goals.collect::<Result<_, _>>()?;
+    for goal in &goals {
+        daemon
+            .check(goal.scene.clone(), &with.accept)
+            .map_err(|failure| Failure::new(failure.exit, format!("{}: {failure}", goal.name)))?;
+    }
+    let known = request::known(directory, with.veto, asked_ns, ANSWER)?;
     for (number, goal) in goals.iter().enumerate() {
         let daemon = Daemon::of(directory)?;
-        let scene = next(&goal.scene, &daemon.scene)?;
+        let scene = next(goal.scene.as_bytes(), &daemon.scene)?;
         let files = goal.memory.as_deref().zip(daemon.memory.as_deref());
         let memory = files.map(|(bytes, place)| next(bytes, place)).transpose()?;
-        daemon.take_up(&scene, memory.as_deref(), number == 0, &stop)?;
-        let begin = arm(directory, &daemon, &stop)?;
+        daemon.take_up(&scene, memory.as_deref(), number == 0, &with.accept, &stop)?;
+        let begin = arm(directory, &daemon, known, &stop)?;
         arrive(directory, begin, with.within, &stop).map_err(|failure| {
             let message = format!("{}: {failure}", goal.name);
             Failure::new(failure.exit, message)
@@ -72,14 +88,14 @@ struct Goal<'a> {
     /// The file of the scene.
     name: std::path::Display<'a>,
     /// What is in it.
-    scene: Vec<u8>,
+    scene: String,
     /// What is in its memory, if the daemon has one.
     memory: Option<Vec<u8>>,
 }
 
 impl<'a> Goal<'a> {
-    fn read(path: &'a Path, has_memory: bool) -> Result<Self, Failure> {
-        scene::Scene::read(path)?;
+    fn read(path: &'a Path, daemon: &Daemon) -> Result<Self, Failure> {
+        let scene = SceneFiles::read(path)?.text;
         let memory = path.with_extension("vpcmem");
         let to_build = |failure: Failure| match memory.exists() {
             true => failure,
@@ -95,8 +111,8 @@ impl<'a> Goal<'a> {
         };
         Ok(Self {
             name: path.display(),
-            scene: bytes(path)?,
-            memory: has_memory.then(of_memory).transpose()?,
+            scene,
+            memory: daemon.memory.is_some().then(of_memory).transpose()?,
         })
     }
 }
@@ -113,16 +129,21 @@ fn next(bytes: &[u8], place: &Path) -> Result<PathBuf, Failure> {
     Ok(to)
 }
 
-/// Arms, as soon as the daemon sees camera and robot; when that was. A stop since then, or before,
-/// is not armed over.
-fn arm(directory: &Path, daemon: &Daemon, stop: &AtomicBool) -> Result<Instant, Failure> {
+/// Arms in spite of the veto that is `known`, as soon as the daemon sees camera and robot; when
+/// that was. Another veto is not armed over.
+fn arm(
+    directory: &Path,
+    daemon: &Daemon,
+    known: u32,
+    stop: &AtomicBool,
+) -> Result<Instant, Failure> {
     let end = Instant::now() + PATIENCE;
     loop {
         if stop.load(Ordering::Relaxed) || !daemon.is_at_work() {
             let message = "the visit, or the daemon, was ended; disarmed";
             return Err(Failure::new(Exit::Attention, message));
         }
-        let reply = request::send(directory, &request::arm(0), ANSWER);
+        let reply = request::send(directory, &request::arm(known), ANSWER);
         let reply = match reply {
             // It begins.
             Err(_) if Instant::now() < end => None,
@@ -131,7 +152,7 @@ fn arm(directory: &Path, daemon: &Daemon, stop: &AtomicBool) -> Result<Instant, 
         let outcome = reply.as_ref().and_then(messages::Reply::outcome);
         match (outcome, reply) {
             (Some(Outcome::Done), _) => return Ok(Instant::now()),
-            (Some(Outcome::Stopped), Some(reply)) => return Err(refused(&reply)),
+            (Some(Outcome::Vetoed), Some(reply)) => return Err(refused(&reply)),
             (_, Some(reply)) if Instant::now() >= end => return Err(refused(&reply)),
             _ => std::thread::sleep(PAUSE),
         }

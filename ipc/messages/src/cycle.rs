@@ -480,8 +480,9 @@ message! {
         missed: u32,
         /// What happened in this cycle.
         flags: u32 [bits(CycleFlags)],
-        /// Stops by operators so far.
-        stops: u32,
+        /// The veto that stands: the random name of the last operator's stop (odd) or disarm (even)
+        /// since it was last armed; 0: none.
+        veto: u32,
         /// Bit i is set if point i of `points` was seen.
         visible: u32,
         /// Cycles in a row that the law answered by prediction, because no image came.

@@ -37,8 +37,9 @@ codes! {
         NoFeatures = 1 => "refused: no good features are coming",
         /// Refused: the robot reports a fault or a reflex.
         RobotFault = 2 => "refused: the robot reports a fault: clear it at the robot, or by vpcctl recover",
-        /// Refused: the camera is still braking; ask again when it stands still.
-        Braking = 3 => "refused: still braking",
+        /// Refused: the camera is still braking, or an operator stopped it less than 0.5 s ago; ask
+        /// again.
+        Braking = 3 => "refused: still braking, or stopped less than 0.5 s ago",
         /// Refused: the controller's memory of motion lacks what the strategy needs, or there is no
         /// memory.
         NoMemory = 4 => "refused: no memory of motion for this strategy",
@@ -57,11 +58,23 @@ codes! {
         RobotLost = 11 => "refused: the robot fell silent: start its client again",
         /// Refused: what the robot says it carries out is not what it was commanded.
         NotFollowed = 12 => "refused: the robot does not follow its commands",
-        /// Refused: an operator has stopped it since it was last armed, and the request does not
-        /// name the newest stop.
-        Stopped = 13 => "refused: stopped since it was last armed",
+        /// Refused: an operator has stopped or disarmed it since it was last armed, and the request
+        /// does not name the newest veto.
+        Vetoed = 13 => "refused: an operator has stopped or disarmed it since it was last armed",
         /// Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
         NoJoints = 14 => "refused: the arm's joints are unknown",
+    }
+}
+
+impl Action {
+    /// The action of the veto with this name, as a reply or a cycle tells it: a stop or a disarm;
+    /// `None` for 0, no veto.
+    pub const fn of_veto(name: u32) -> Option<Self> {
+        match name {
+            0 => None,
+            _ if name % 2 == 1 => Some(Self::Stop),
+            _ => Some(Self::Disarm),
+        }
     }
 }
 
@@ -78,9 +91,9 @@ message! {
         strategy: u32 [any_code(StrategyCode)],
         /// For strategy knn: neighbours averaged, 1 to 64; else zero.
         neighbours: u32,
-        /// For action `arm`: the count of stops, as a reply or a cycle tells it, that the operator
-        /// has seen and arms in spite of; 0: none since it was last armed. Else zero.
-        stops: u32,
+        /// For action `arm`: the veto, as a reply or a cycle tells it, that the operator knows of
+        /// and arms in spite of; 0: none. Else zero.
+        veto: u32,
     }
     // No history: a controller that restarts must not obey a request from before.
     "vpc/requests" from "operators": Qos { history: 0, buffer: 16, subscribers: 8, publishers: 8 }
@@ -97,10 +110,13 @@ impl Request {
     /// answer by then may give up, and nothing will move.
     pub const LATE_NS: u64 = 300_000_000;
 
-    /// A request to arm in spite of so many stops; 0: of none since it was last armed.
-    pub fn arm(id: u64, stops: u32) -> Self {
+    /// How long after a stop no arming is accepted, ns: no human looks and arms sooner.
+    pub const AFTER_STOP_NS: u64 = 500_000_000;
+
+    /// A request to arm in spite of this veto; 0: of none.
+    pub fn arm(id: u64, veto: u32) -> Self {
         Self {
-            stops,
+            veto,
             ..Self::new(id, Action::Arm)
         }
     }
@@ -163,10 +179,14 @@ message! {
         strategy: u32 [code(StrategyCode)],
         /// Its neighbours (knn), else zero.
         neighbours: u32,
-        /// Stops by operators so far, each request and each change of the stop file.
-        stops: u32,
-        /// The count of stops that the request names.
-        seen: u32,
+        /// The veto that stands: the random name of the last operator's stop, by a request or the
+        /// stop file (odd), or disarm (even) since it was last armed; 0: none.
+        veto: u32,
+        /// The veto that the request names.
+        named: u32,
+        /// The first cycle since that veto, CLOCK_MONOTONIC; greatest before that cycle, 0 without
+        /// a veto.
+        veto_ns: u64 ["ns"],
     }
     // As many as a cycle may answer.
     "vpc/replies" from "controller": Qos { history: 0, buffer: 256, subscribers: 16, publishers: 1 }

@@ -7,7 +7,7 @@ use std::io;
 use std::path::Path;
 
 use sha2::{Digest, Sha256};
-use toml_schema::FileError;
+use toml_schema::{Difference, Document, FileError};
 
 use crate::Scene;
 use crate::file::read_beside;
@@ -32,10 +32,18 @@ impl SceneFiles {
     /// # Errors
     /// As [`Scene::read`].
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let name = path.display().to_string();
-        let text = toml_schema::read_text(path)?;
+        Self::parse_at(toml_schema::read_text(path)?, path)
+    }
+
+    /// Parses the text of a scene file that is, or will be, at `path`, and reads the files that it
+    /// names from there.
+    ///
+    /// # Errors
+    /// As [`Scene::read`].
+    pub fn parse_at(text: String, path: &Path) -> Result<Self, FileError> {
         let directory = path.parent().unwrap_or(Path::new(""));
-        Self::parse(text, &name, &|name| read_beside(&directory.join(name)))
+        let beside = |name: &str| read_beside(&directory.join(name));
+        Self::parse(text, &path.display().to_string(), &beside)
     }
 
     /// Parses the text of a scene file; `path` is for messages, and `beside` returns the file of a
@@ -62,6 +70,22 @@ impl SceneFiles {
         })
     }
 
+    /// What is different in `new`, but for what changes from one goal of a task to the next: the
+    /// goal and the region of starts. Keys of an arm file stand behind the file's name; of another
+    /// file that both name it says that its bytes differ.
+    pub fn differences(&self, new: &Self) -> Vec<Difference> {
+        let mut found = compare("", self.text.as_bytes(), new.text.as_bytes());
+        for (name, old) in &self.beside {
+            if let Some(new) = new.beside.get(name) {
+                found.extend(compare(name, old, new));
+            }
+        }
+        let names = self.beside.keys().map(|name| format!("{name}.goal"));
+        let changing: Vec<_> = names.chain(["goal", "starts"].map(str::to_owned)).collect();
+        found.retain(|one| !changing.iter().any(|name| one.is_within(name)));
+        found
+    }
+
     /// SHA-256 of the scene file and those beside it, 64 hexadecimal digits. Unlike the
     /// fingerprint, which is the task's, it changes with every byte.
     pub fn digest(&self) -> String {
@@ -75,7 +99,29 @@ impl SceneFiles {
             put(name.as_bytes());
             put(bytes);
         }
-        let digest: [u8; 32] = hash.finalize().into();
-        digest.iter().map(|byte| format!("{byte:02x}")).collect()
+        hexadecimal(&hash.finalize())
     }
+}
+
+/// What differs in a file of this name, or in the scene: key by key if it is TOML.
+fn compare(name: &str, old: &[u8], new: &[u8]) -> Vec<Difference> {
+    let read = |bytes| Document::parse(std::str::from_utf8(bytes).ok()?, "").ok();
+    let Some((keys, others)) = read(old).zip(read(new)) else {
+        let words = |bytes| format!("SHA-256 {}", &hexadecimal(&Sha256::digest(bytes))[..8]);
+        let (key, old, new) = (name.to_owned(), words(old), words(new));
+        return if old == new {
+            Vec::new()
+        } else {
+            vec![Difference { key, old, new }]
+        };
+    };
+    let mut found = keys.differences(&others);
+    for one in found.iter_mut().filter(|_| !name.is_empty()) {
+        one.key = format!("{name}.{}", one.key);
+    }
+    found
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

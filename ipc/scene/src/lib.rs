@@ -60,7 +60,7 @@ pub use starts::{parse_starts, read_starts, starts_csv};
 #[cfg(feature = "file")]
 pub use text::{with_mask, with_value};
 #[cfg(feature = "file")]
-pub use toml_schema::FileError;
+pub use toml_schema::{Difference, FileError};
 
 /// The text of `scenes/paper-sim.toml`: the simulated experiment of the paper.
 pub const PAPER_SIM: &str = include_str!("../scenes/paper-sim.toml");

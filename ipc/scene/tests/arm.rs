@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::io;
 
-use scene::{FileError, Scene};
+use scene::{FileError, Scene, SceneFiles};
 
 const ARM: &str = include_str!("../scenes/panda.toml");
 const PANDA: &str = include_str!("../scenes/panda.urdf");
@@ -354,4 +354,44 @@ fn a_urdf_that_nests_without_end_is_refused() {
     );
     let error = refused(ARM, &deep);
     assert!(error.contains("panda.urdf: elements within"), "{error}");
+}
+
+#[test]
+fn what_differs_in_more_than_goal_and_starts_is_named() {
+    let read = |text: &str, arm: &str, urdf: &str| {
+        let files = HashMap::from([("cell/a.toml", arm), ("cell/panda.urdf", urdf)]);
+        SceneFiles::parse(text.to_owned(), "s.toml", &|name| {
+            let file = files.get(name).ok_or(io::ErrorKind::NotFound)?;
+            Ok(file.as_bytes().to_vec())
+        })
+        .unwrap()
+    };
+    let text = format!("arm = \"cell/a.toml\"\n{}", scene::PAPER_ROBOT);
+    let old = read(&text, ARM, PANDA);
+    let found = |new: SceneFiles| {
+        let found = old.differences(&new);
+        found.iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    let goal = scene::with_value(&text, "goal", "rotation", "[0.0, 0.0, 0.1]").unwrap();
+    let goal = scene::with_value(&goal, "starts", "roll_max", "0.123").unwrap();
+    let elsewhere = format!("goal = [0.1, 0.2, 0.3, -1.4, 0.5, 1.6, 0.7]\n{ARM}");
+    assert_eq!(found(read(&goal, &elsewhere, PANDA)), [""; 0]);
+    let faster = scene::with_value(&goal, "limits", "linear", "0.1").unwrap();
+    assert_eq!(
+        found(read(&faster, ARM, PANDA)),
+        ["limits.linear: 0.01 -> 0.1"]
+    );
+    assert_eq!(
+        found(read(scene::PAPER_ROBOT, ARM, PANDA)),
+        ["arm: \"cell/a.toml\" -> none"]
+    );
+    let nearer = format!("margin = 0.01\n{ARM}");
+    let longer = PANDA.replace("0.384", "0.385");
+    let named = found(read(&text, &nearer, &longer));
+    assert_eq!(named[0], "cell/a.toml.margin: none -> 0.01");
+    assert!(
+        named[1].starts_with("cell/panda.urdf: SHA-256 "),
+        "{named:?}"
+    );
+    assert_eq!(named.len(), 2);
 }

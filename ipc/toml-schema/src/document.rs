@@ -127,7 +127,7 @@ pub fn read_bytes(path: &Path, most: u64) -> io::Result<Vec<u8>> {
 pub struct Document {
     path: String,
     text: String,
-    table: Table,
+    pub(crate) table: Table,
     /// The flag that set a key.
     flags: BTreeMap<String, String>,
 }

@@ -21,6 +21,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod difference;
 mod document;
 #[cfg(feature = "flags")]
 mod flags;
@@ -31,6 +32,7 @@ mod schema;
 #[cfg(feature = "yaml")]
 mod yaml;
 
+pub use difference::Difference;
 pub use document::{
     COMMAND_LINE, Document, FileError, MOST_TEXT, open_file, read_bytes, read_text,
 };

@@ -123,8 +123,8 @@ pub struct Witness {
     pub observer: Observer,
     operator: OperatorPorts,
     asked: u64,
-    /// The count of stops that the last refusal has told.
-    stops: u32,
+    /// The veto that the last answer has told.
+    veto: u32,
     _domain: Domain,
 }
 
@@ -136,26 +136,23 @@ impl Witness {
             operator: OperatorPorts::open(&domain).unwrap(),
             // Ids that no other operator of the domain uses.
             asked: now_ns(),
-            stops: 0,
+            veto: 0,
             _domain: domain,
         }
     }
 
-    /// Asks until there is an answer. Who arms has seen the stop that the last refusal told of.
+    /// Asks until there is an answer. Who arms names the veto that the last answer told.
     pub fn ask(&mut self, action: Action) -> Outcome {
         eventually("an answer", || {
             self.asked += 1;
             let request = match action {
-                Action::Arm => Request::arm(self.asked, self.stops),
+                Action::Arm => Request::arm(self.asked, self.veto),
                 _ => Request::new(self.asked, action),
             };
             let reply = self.operator.ask(&request, Duration::from_millis(200));
             let reply = reply.unwrap()?;
             assert_eq!(reply.action, action.code(), "another operator's answer");
-            self.stops = match reply.outcome() {
-                Some(Outcome::Stopped) => reply.stops,
-                _ => 0,
-            };
+            self.veto = reply.veto;
             reply.outcome()
         })
     }

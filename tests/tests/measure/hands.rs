@@ -69,7 +69,7 @@ fn stopped_by(number: usize, line: &str, is_usable: bool) -> anyhow::Result<u64>
         worst = worst.max(stands(&mut stage.witness, now_ns())?);
         // Who arms has to know of it.
         let outcome = stage.witness.ask(Action::Arm);
-        anyhow::ensure!(outcome == Outcome::Stopped, "armed after {line}: {outcome}");
+        anyhow::ensure!(outcome == Outcome::Vetoed, "armed after {line}: {outcome}");
     }
     let (domain, by_request) = match stage.place.domain().exists() {
         true => (stage.place.domain(), !is_usable),

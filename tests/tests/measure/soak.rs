@@ -127,8 +127,8 @@ struct Cast {
     /// Starts of the camera, and recordings, so far.
     starts: usize,
     recordings: usize,
-    /// Stops so far, as the last cycle told.
-    stops: u32,
+    /// The veto that stands, as the last cycle told.
+    veto: u32,
 }
 
 /// What was seen.
@@ -162,7 +162,7 @@ impl Cast {
             witness,
             starts: 1,
             recordings: 1,
-            stops: 0,
+            veto: 0,
         }
     }
 
@@ -198,13 +198,13 @@ impl Cast {
         tally.moving += commands.iter().filter(moving).count() as u64;
         for record in self.witness.records() {
             tally.cycles += 1;
-            self.stops = record.stops;
+            self.veto = record.veto;
             tally.missed += record.overruns.saturating_sub(tally.overruns);
             tally.overruns = record.overruns;
         }
         if commands.last().and_then(|twist| twist.state()) == Some(TwistState::Disarmed) {
             let id = ChaCha8Rng::seed_from_u64(now_ns()).random();
-            self.witness.say(&Request::arm(id, self.stops));
+            self.witness.say(&Request::arm(id, self.veto));
         }
     }
 
@@ -243,12 +243,12 @@ impl Cast {
                 tally.stop = tally.stop.max(took.expect("a stop that is obeyed"));
                 std::thread::sleep(Duration::from_millis(150));
                 self.witness.commands();
-                let newest = self.witness.records().last().map(|record| record.stops);
-                let before = newest.expect("cycles") - 1;
+                let newest = self.witness.records().last().map(|record| record.veto);
+                let other = newest.expect("cycles") ^ 2;
                 let begin = Instant::now();
                 while begin.elapsed() < PASSING {
                     self.witness.say(&Request::arm(random.random(), 0));
-                    self.witness.say(&Request::arm(random.random(), before));
+                    self.witness.say(&Request::arm(random.random(), other));
                     std::thread::sleep(Duration::from_millis(20));
                     let commands = self.witness.commands();
                     assert!(

@@ -13,6 +13,7 @@ use std::time::Duration;
 use hw_sim::FreeCamera;
 use ipc::{CameraPorts, Domain};
 use messages::{Action, CycleRecord, Features, Hold, Outcome, Stamp, TwistState};
+use rustix::process::Signal;
 use scene::{Scene, with_value};
 
 use crate::fixture::{
@@ -206,10 +207,63 @@ fn a_stop_ends_a_visit() {
     let again = ended(shown.vpcctl(&["visit", &here]));
     assert_eq!(again.code, Some(2), "{again:?}");
     assert!(
-        again.stderr.contains("stopped since it was last armed"),
+        again.stderr.contains("has stopped or disarmed it"),
         "{again:?}"
     );
     assert!(shown.witness.commands().iter().all(is_still));
+}
+
+#[test]
+fn a_disarm_at_a_change_of_goals_ends_a_visit() {
+    let mut shown = Shown::begun();
+    let [here, aside] = shown.taught();
+    let visit = Running::start(shown.vpcctl(&["visit", &aside, &here, &aside, &here]));
+    eventually("the first goal", || {
+        let arrived = |record: &CycleRecord| record.state == TwistState::Arrived.code();
+        shown.witness.records().iter().any(arrived).then_some(())
+    });
+    // The visit goes on once it was disarmed.
+    visit.signal(Signal::STOP);
+    eventually("a disarm", || {
+        let said = ended(shown.vpcctl(&["disarm"]));
+        (said.code == Some(0)).then_some(())
+    });
+    shown.witness.commands();
+    visit.signal(Signal::CONT);
+    let said = visit.ended();
+    assert_ne!(said.code, Some(0), "{said:?}");
+    assert!(shown.witness.commands().iter().all(is_still));
+    // A person who says so later may.
+    eventually("arming", || {
+        let said = ended(shown.vpcctl(&["arm"]));
+        (said.code == Some(0)).then_some(())
+    });
+}
+
+#[test]
+fn a_goal_with_other_limits_is_refused_and_a_reload_with_them_is_told() {
+    let shown = Shown::begun();
+    let [_, aside] = shown.taught();
+    let own = || fs::read_to_string(shown.place.path("own.toml")).unwrap();
+    let before = own();
+    let faster = fs::read_to_string(&aside).unwrap();
+    let faster = with_value(&faster, "limits", "linear", "5.0").unwrap();
+    let faster = shown
+        .place
+        .file("faster.toml", faster)
+        .display()
+        .to_string();
+    let said = ended(shown.vpcctl(&["visit", &faster]));
+    assert_eq!(said.code, Some(2), "{said:?}");
+    let named = "limits.linear: 0.5 -> 5.0; allowed:";
+    assert!(said.stderr.contains(named), "{said:?}");
+    assert_eq!(own(), before);
+    let said = ended(shown.vpcctl(&["visit", &faster, "--accept", "limits"]));
+    assert_eq!(said.code, Some(0), "{said:?}");
+    let (code, log) = shown.daemon.terminated().log();
+    assert_eq!(code, 0, "{log}");
+    let told = "begins again with another limits.linear: 0.5 -> 5.0";
+    assert!(log.contains(told), "{log}");
 }
 
 #[test]

@@ -18,12 +18,6 @@ pub const LOST_NS: u64 = 300_000_000;
 
 /// Faults whose mends are still to come: no seed has them.
 pub const AWAITED: &[Fault] = &[
-    // consent
-    Fault::ToFollow,
-    Fault::ToGoal,
-    Fault::VisitDisarm,
-    Fault::VisitStop,
-    Fault::VisitForeign,
     // joints
     Fault::JointsFrozen,
     Fault::JointsFuture,

@@ -46,11 +46,11 @@
 //! | an arm that waited is refused | | `late requests:` | `cycle::is_late` | `SIM_SEED=28 (Hang) late requests: Some(Done)` |
 //! | a crash begins disarmed | `consent` | `restart:` | `Supervisor::begin_disarmed` | `SIM_SEED=26 (Crash) restart: holding (Some(Stale))` |
 //! | an armed start waits 5 s | `consent` | `unasked:` | `Supervisor::has_waited` | `SIM_SEED=46 (ArmedAlone) unasked: it moves` |
-//! | a loop of `arm` does not undo a stop | `consent` | `consent:` | the name in `Supervisor::arm` | `SIM_SEED=38 (StopAgainstArm) consent: armed by the name of stop 0, the last is 1` |
-//! | after a reload the stops are the same | | `stops:` | `Supervisor::begin_again` | `SIM_SEED=35 (Reload) stops: 2 came, 1 are told` |
+//! | a loop of `arm` does not undo a stop | `consent` | `consent:` | the name in `Supervisor::arm` | `SIM_SEED=38 (StopAgainstArm) consent: armed by the name 0, veto 3 stands` |
+//! | after a reload the veto is the same | | `consent:` | `Supervisor::begin_again` | `SIM_SEED=35 (Reload) consent: veto 3 stands, 0 is told` |
 //! | a stop is zero in its cycle | `stop`, `hands`, `daemon process` | `stop:` | `Action::Stop` | `SIM_SEED=36 (Stop) stop: another command in its cycle` |
 //! | so is any hand on the stop file | `hands` | `stop:` | the file's place in `StopFile::is_asked` | `SIM_SEED=541 (StopFile) stop: none after 114 ms` |
-//! | and no arm counts before that zero | | `stop:` | `is_stopped` in `Supervisor::arm` | `SIM_SEED=86 (Stop) stop: another command in its cycle: Some(Moving)` |
+//! | and no arm counts before that zero | | `stop:` | `Veto::is_fresh` in `Supervisor::arm` | `SIM_SEED=86 (Stop) stop: another command in its cycle: Some(Moving)` |
 //! | a disarm brakes | `daemon process` | `unasked:` | `Action::Disarm` | `SIM_SEED=42 (Disarm) unasked: it goes on after a disarm` |
 //! | SIGTERM brakes, then zero | `shutdown` | `end:` | `Hold::Shutdown` | `SIM_SEED=34 (Terminate) end: the last word is a jump to zero` |
 //! | nothing moves before a robot is heard | `daemon process` | `no robot:` | `Hold::NoRobot` | `SIM_SEED=25 (RobotUnheard) no robot: arm is answered Some(Done)` |
@@ -59,7 +59,7 @@
 //! | one that does something else disarms | `daemon process` | `brake:` | `Hold::NotFollowed` | `SIM_SEED=23 (RobotStrays) brake: the law goes on for 411 ms` |
 //! | a blocked arm disarms | `follow` | `disarm:` | `Follow::add` | `SIM_SEED=24 (RobotBlocked) end: none after a minute` |
 //! | a silent policy brakes | `guardian` | `guardian:` | the end of a wish in `ControlStep::want` | `SIM_SEED=47 (Guardian) guardian: it moves 506 ms after the program` |
-//! | a replay repeats the records | `guardian` | `replay:` | what a request names, in `replay` | `SIM_SEED=48 (Storm) replay: cycle 54: reply.seen differs` |
+//! | a replay repeats the records | `guardian` | `replay:` | what a request names, in `replay` | `SIM_SEED=48 (Storm) replay: cycle 54: reply.named differs` |
 //! | a rehearsal changes nothing | | same hash | `standing` in `ControlStep::restore` | `a rehearsal changes it` |
 
 mod camera;

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use messages::{Action, Message, Outcome, Reply, Request, StrategyCode};
+use messages::{Action, Message, Reply, Request, StrategyCode};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
@@ -16,9 +16,9 @@ pub const MOST: usize = Request::QOS.publishers;
 /// What an operator does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Habit {
-    /// Asks what it is told to, and names the stop that the last refusal told of.
+    /// Asks what it is told to, and names the veto that the last answer told.
     Careful,
-    /// Asks `arm` again and again, and names no stop.
+    /// Asks `arm` again and again, and names no veto.
     ArmLoop,
     /// Fills its queue with questions for the state.
     Flood,
@@ -35,8 +35,8 @@ pub struct Operator {
     queue: VecDeque<(u64, Request)>,
     next_id: u64,
     sequence: u64,
-    /// The stop that the last refusal told of; 0: none.
-    pub stops: u32,
+    /// The veto that the last answer told; 0: none.
+    pub veto: u32,
     /// The last answer.
     pub heard: Option<Reply>,
     random: ChaCha8Rng,
@@ -50,7 +50,7 @@ impl Operator {
             queue: VecDeque::new(),
             next_id: (number as u64 + 1) << 32,
             sequence: 0,
-            stops: 0,
+            veto: 0,
             heard: None,
             random,
         }
@@ -65,9 +65,9 @@ impl Operator {
         request
     }
 
-    /// `arm`, which names the stop that the last refusal told of.
+    /// `arm`, which names the veto that the last answer told.
     pub fn arm(&self) -> Request {
-        Request::arm(0, self.stops)
+        Request::arm(0, self.veto)
     }
 
     /// What it asks by habit.
@@ -75,7 +75,7 @@ impl Operator {
         match self.habit {
             Habit::ArmLoop => Some(Request::arm(0, 0)),
             Habit::Flood => Some(Request::new(0, Action::Status)),
-            Habit::Wild => Some(wild(self.stops, &mut self.random)),
+            Habit::Wild => Some(wild(self.veto, &mut self.random)),
             Habit::Careful | Habit::Idle => None,
         }
     }
@@ -123,17 +123,14 @@ impl Operator {
         if reply.id >> 32 != self.next_id >> 32 {
             return;
         }
-        self.stops = match reply.outcome() {
-            Some(Outcome::Stopped) => reply.stops,
-            _ => 0,
-        };
+        self.veto = reply.veto;
         self.heard = Some(*reply);
     }
 }
 
 /// Anything, known or unknown.
-fn wild(stops: u32, random: &mut ChaCha8Rng) -> Request {
-    let seen = [0, stops, random.random_range(0..4)][random.random_range(0..3)];
+fn wild(veto: u32, random: &mut ChaCha8Rng) -> Request {
+    let named = [0, veto, random.random_range(0..4)][random.random_range(0..3)];
     let (strategy, neighbours) = [
         (StrategyCode::Previous, 0),
         (StrategyCode::Ibvs, 0),
@@ -142,14 +139,14 @@ fn wild(stops: u32, random: &mut ChaCha8Rng) -> Request {
         (StrategyCode::Follow, 0),
     ][random.random_range(0..if Fault::ToGoal.is_awaited() { 4 } else { 5 })];
     match random.random_range(0..10) {
-        0..4 => Request::arm(0, seen),
+        0..4 => Request::arm(0, named),
         4 => Request::new(0, Action::Disarm),
         5 => Request::new(0, Action::Stop),
         6 => Request::strategy(0, strategy, neighbours),
         7 => Request {
             action: random.random_range(0..12),
             strategy: random.random_range(6..9),
-            ..Request::arm(0, seen)
+            ..Request::arm(0, named)
         },
         _ => Request::new(0, Action::Status),
     }

@@ -60,8 +60,9 @@ impl World<'_> {
         let (scene, settings) = (self.scene, self.plan.settings);
         let (rules, memory) = (self.plan.rules(scene), self.plan.memory());
         let mut control = ControlStep::new(scene, settings, memory, rules).unwrap();
-        if let Some(stops) = again {
-            control.begin_again(stops);
+        control.name_vetoes(self.plan.seed);
+        if let Some(veto) = again {
+            control.begin_again(veto);
             presence.follow();
         }
         if presence.unclean.is_some() {
@@ -92,11 +93,10 @@ impl World<'_> {
             let mut cycle = Cycle::new(pace, process, control);
             let sent = cycle.turn(&stop, None, || ());
             let last_word = cycle.stop();
-            let handed = (cycle.stops(), cycle.was_stopped());
-            (sent.and(last_word), cycle.has_consent(), handed)
+            (sent.and(last_word), cycle.has_consent(), cycle.veto())
         });
         match catch_unwind(run) {
-            Ok((sent, has_consent, handed)) => {
+            Ok((sent, has_consent, veto)) => {
                 // As one that fails.
                 self.is_again &= sent.is_ok();
                 presence.has_consent = has_consent;
@@ -106,7 +106,7 @@ impl World<'_> {
                     Note::Before(process) => Some(*process),
                     Note::Empty => None,
                 };
-                self.ended(handed);
+                self.ended(veto);
             }
             Err(payload) if payload.is::<Killed>() => (),
             Err(payload) => {

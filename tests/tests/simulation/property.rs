@@ -107,13 +107,11 @@ pub struct Judge {
     waits: bool,
     /// Whether the strategy has a goal.
     has_goal: bool,
-    /// Stops so far, and whether one came since the last arming.
-    stops: u32,
-    is_stop_new: bool,
+    /// The veto that stands, and when a stop was taken, ns.
+    veto: u32,
+    stopped_ns: Option<u64>,
     /// Whether a process was killed since.
     is_unclean: bool,
-    /// Whether an operator has disarmed since.
-    is_disarm_new: bool,
     /// When the oldest stop was asked that no zero has followed yet, ns.
     stop_asked_ns: Option<u64>,
     /// The greatest step of a component, as a share of its limit.
@@ -138,10 +136,9 @@ impl Judge {
             consent: Consent::None,
             waits: false,
             has_goal: true,
-            stops: 0,
-            is_stop_new: false,
+            veto: 0,
+            stopped_ns: None,
             is_unclean: false,
-            is_disarm_new: false,
             stop_asked_ns: None,
             steepest: 0.0,
             stop_ns: 0,
@@ -182,10 +179,9 @@ impl Judge {
         self.is_unclean = true;
     }
 
-    /// The process has gone without leaving its count of stops.
+    /// The process has gone without leaving the veto that stood.
     pub fn forget(&mut self) {
-        (self.stops, self.stop_asked_ns) = (0, None);
-        (self.is_stop_new, self.is_disarm_new) = (false, false);
+        (self.veto, self.stopped_ns, self.stop_asked_ns) = (0, None, None);
     }
 
     /// Somebody asks for a stop at `now_ns`, who must see zero in time while the loop runs.
@@ -265,51 +261,65 @@ impl Judge {
             format!("{outcome:?} after {} ms", age_ns / 1_000_000)
         });
         match (action, outcome) {
-            (Some(Action::Arm), Some(Outcome::Done)) => self.armed(request),
+            (Some(Action::Arm), Some(Outcome::Done)) => self.armed(request, now_ns),
             (Some(Action::Disarm), _) => {
-                self.is_disarm_new = true;
+                self.vetoed(reply);
                 self.waits = false;
-                if self.consent == Consent::Given {
-                    self.consent = Consent::Ending;
-                }
             }
             (Some(Action::Stop), _) => {
+                self.vetoed(reply);
                 (self.consent, self.waits) = (Consent::None, false);
-                (self.stops, self.is_stop_new) = (self.stops + 1, true);
+                self.stopped_ns = Some(now_ns);
             }
             (Some(Action::Strategy), Some(Outcome::Done)) => {
                 let has_goal = reply.strategy != StrategyCode::Follow.code();
                 if has_goal != self.has_goal && self.consent == Consent::Given {
                     self.consent = Consent::Ending;
                 }
+                // Unless it was braking to disarm.
+                if has_goal != self.has_goal && reply.veto != self.veto {
+                    self.vetoed(reply);
+                }
                 self.has_goal = has_goal;
             }
             _ => (),
         }
-        let stops = self.stops;
-        self.check(Promise::Consent, reply.stops == stops, || {
-            format!("{stops} stops came, {} are told", reply.stops)
+        let veto = self.veto;
+        self.check(Promise::Consent, reply.veto == veto, || {
+            format!("veto {veto} stands, {} is told", reply.veto)
         });
     }
 
-    fn armed(&mut self, request: &Request) {
-        let named = request.stops;
-        let (stops, is_new) = (self.stops, self.is_stop_new);
-        let is_program = request.id >> 32 == visitor::OPERATOR as u64 + 1;
-        let is_named = named == stops || (named == 0 && !is_new);
-        let is_given = self.consent == Consent::Given;
-        self.check(Promise::Consent, is_given || is_named, || {
-            format!("armed by the name of stop {named}, the last is {stops}")
+    /// An operator has stopped or disarmed it: by a name of its own.
+    fn vetoed(&mut self, reply: &Reply) {
+        let is_new = ![0, self.veto].contains(&reply.veto);
+        self.check(Promise::Consent, is_new, || {
+            format!("veto {} again", reply.veto)
         });
-        let is_blind = is_program && self.is_disarm_new;
-        self.check(Promise::Consent, is_given || !is_blind, || {
-            "armed by a program that does not know of a disarm".to_owned()
+        self.veto = reply.veto;
+        if self.consent == Consent::Given {
+            self.consent = Consent::Ending;
+        }
+    }
+
+    fn armed(&mut self, request: &Request, now_ns: u64) {
+        let (named, veto) = (request.veto, self.veto);
+        let is_program = request.id >> 32 == visitor::OPERATOR as u64 + 1;
+        self.check(Promise::Consent, [0, named].contains(&veto), || {
+            format!("armed by the name {named}, veto {veto} stands")
+        });
+        let since_ns = self
+            .stopped_ns
+            .map_or(u64::MAX, |at| now_ns.saturating_sub(at));
+        let is_soon = veto != 0 && since_ns + ABOUT_NS < Request::AFTER_STOP_NS;
+        self.check(Promise::Consent, !is_soon, || {
+            format!("armed {} ms after a stop", since_ns / 1_000_000)
         });
         self.check(Promise::Consent, self.consent != Consent::Ending, || {
             "armed while it brakes to disarm".to_owned()
         });
         (self.consent, self.waits) = (Consent::Given, false);
-        (self.is_stop_new, self.is_disarm_new) = (false, false);
+        self.veto = 0;
         self.is_unclean = false;
         if !is_program {
             self.cell = self.rules.limits;

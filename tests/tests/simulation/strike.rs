@@ -1,5 +1,6 @@
 //! How each fault begins, and how those end that last for some time.
 
+use decision::veto::Names;
 use messages::{Action, Request, StrategyCode};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -115,7 +116,7 @@ impl World<'_> {
             Fault::Stop => {
                 self.ask_stop();
                 // In the same cycle somebody arms by the name that this stop will have.
-                self.ask(2, Request::arm(0, 1));
+                self.ask(2, Request::arm(0, Names(self.plan.seed).next(true)));
             }
             Fault::StopTwice => self.ask_stop(),
             Fault::StopAgainstArm if random.random_bool(0.5) => self.ask_stop(),
@@ -235,16 +236,13 @@ impl World<'_> {
         }
     }
 
-    /// The process has ended in order, with zero as its last word, after so many stops.
-    pub fn ended(&mut self, (stops, was_stopped): (u32, bool)) {
+    /// The process has ended in order, with zero as its last word, under this veto.
+    pub fn ended(&mut self, veto: u32) {
         self.tell(|| "vpcd has ended".to_owned());
         self.is_at_work = false;
         self.process += 1;
         let is_again = self.is_again;
-        self.again = is_again.then_some(stops);
-        if let (true, true, Some(domain)) = (is_again, was_stopped, &mut self.domain) {
-            domain.ask();
-        }
+        self.again = is_again.then_some(veto);
         if !is_again {
             self.judge.forget();
         }

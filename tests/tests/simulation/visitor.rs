@@ -73,7 +73,7 @@ impl World<'_> {
                 let heard = self.operators[OPERATOR].heard.take();
                 match heard.and_then(|reply| reply.outcome()) {
                     Some(Outcome::Done) => Step::Goes,
-                    Some(Outcome::Stopped) => Step::Over,
+                    Some(Outcome::Vetoed) => Step::Over,
                     _ if self.now_ns > until_ns => Step::Over,
                     _ => {
                         self.ask(OPERATOR, Request::arm(0, 0));
@@ -104,9 +104,14 @@ impl World<'_> {
         }
     }
 
-    /// Lets the daemon take up a scene, if it may.
+    /// Lets the daemon take up a scene, unless more than goal and starts differ.
     fn take_up(&mut self, place: Place) -> bool {
-        self.scene = self.plan.stock.scene(place);
+        let (new, mut old) = (self.plan.stock.scene(place), self.scene.clone());
+        (old.goal, old.starts) = (new.goal, new.starts);
+        if old != *new {
+            return false;
+        }
+        self.scene = new;
         self.reload();
         true
     }

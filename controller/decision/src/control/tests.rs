@@ -164,8 +164,8 @@ fn bear_any_input(mut control: ControlStep, cycles: u64) {
             let mut request = Request::new(cycle, Action::Status);
             (request.action, request.neighbours) = (action, random.random());
             // Who arms has seen the last stop, or not.
-            let stops = [control.supervisor.stops(), random.random()];
-            request.stops = stops[usize::from(random.random_bool(0.5))];
+            let named = [control.veto(), random.random()];
+            request.veto = named[usize::from(random.random_bool(0.5))];
             control.request(&request, cycle);
         }
         let inputs = Inputs {
@@ -589,4 +589,65 @@ fn the_law_believes_that_the_camera_obeys_what_it_is_told() {
     control.obeyed(&twist.map(|v| 0.5 * v), now_ns);
     assert!(expected.is_some());
     assert_ne!(control.law().expected(now_ns + PERIOD), expected);
+}
+
+#[test]
+fn a_change_between_a_guard_and_a_goal_disarms() {
+    let rules = Rules {
+        lost_ns: None,
+        valid_ns: None,
+        ..rules()
+    };
+    for (from, to) in [
+        (Strategy::Follow, StrategyCode::Previous),
+        (Strategy::Previous, StrategyCode::Follow),
+    ] {
+        let settings = Settings {
+            strategy: from,
+            ..Settings::default()
+        };
+        let mut control = control_with(settings, rules);
+        let far = displaced(&control, 60.0);
+        let mut cycle = 0;
+        let mut step = |control: &mut ControlStep| {
+            cycle += 1;
+            let mut features = far;
+            features.points[0] += 1e-9 * cycle as f64;
+            (features.stamp.sequence, features.stamp.published_ns) = (cycle, cycle * PERIOD);
+            let inputs = Inputs {
+                now_ns: cycle * PERIOD,
+                features: Input::Message(features),
+                robot: Input::Nothing,
+                desired: Input::Nothing,
+                missed: 0,
+                suspended: false,
+                shutdown: false,
+            };
+            control
+                .decide(&inputs, &mut CycleRecord::default())
+                .decision
+        };
+        (0..3).for_each(|_| _ = step(&mut control));
+        let ask =
+            |control: &mut ControlStep, code| control.request(&Request::strategy(1, code, 0), 1);
+        // Another goal's strategy disarms nobody, nor does one that is not known.
+        let same = contract::strategy_code(from).0;
+        assert_eq!(ask(&mut control, same).veto, 0);
+        assert_eq!(
+            ask(&mut control, StrategyCode::Gpr).outcome(),
+            Some(Outcome::NoMemory)
+        );
+        assert_ne!(step(&mut control).state, TwistState::Disarmed);
+        let reply = ask(&mut control, to);
+        assert_eq!(reply.outcome(), Some(Outcome::Done));
+        let told = (reply.state(), reply.hold());
+        assert_eq!(told, (Some(TwistState::Braking), Some(Hold::Operator)));
+        (0..8).for_each(|_| _ = step(&mut control));
+        assert_eq!(step(&mut control).state, TwistState::Disarmed, "{to}");
+        // Who armed the other one did not mean this one.
+        let arm =
+            |control: &mut ControlStep, veto| control.request(&Request::arm(2, veto), 1).outcome();
+        assert_eq!(arm(&mut control, 0), Some(Outcome::Vetoed));
+        assert_eq!(arm(&mut control, reply.veto), Some(Outcome::Done));
+    }
 }

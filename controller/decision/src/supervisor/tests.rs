@@ -1,5 +1,7 @@
 //! Each hold and its response, with a clock moved by hand.
 
+use messages::Request;
+
 use super::*;
 
 const MS: u64 = 1_000_000;
@@ -89,6 +91,17 @@ impl Bench {
 
     fn ask(&mut self, action: Action) -> Outcome {
         self.supervisor.request(action, 0)
+    }
+
+    /// The name of the veto that stands.
+    fn veto(&self) -> u32 {
+        self.supervisor.veto().map_or(0, |veto| veto.name)
+    }
+
+    /// Arms in spite of it.
+    fn arm(&mut self) -> Outcome {
+        let veto = self.veto();
+        self.supervisor.request(Action::Arm, veto)
     }
 }
 
@@ -362,49 +375,146 @@ fn an_operator_brakes_and_arms_again() {
         bench.good(),
         Decision::still(Hold::Operator, TwistState::Disarmed)
     );
-    assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    assert_eq!(bench.arm(), Outcome::Done);
     bench.resumes();
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
 }
 
 #[test]
-fn an_arm_behind_a_stop_in_the_same_cycle_does_not_undo_it() {
+fn for_half_a_second_after_a_stop_no_arm_is_accepted() {
     let mut bench = Bench::moving();
-    assert_eq!(bench.ask(Action::Stop), Outcome::Done);
-    assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
-    assert_eq!(
-        bench.good(),
-        Decision::still(Hold::Operator, TwistState::Disarmed)
-    );
     // Also where it stands already.
-    assert_eq!(bench.ask(Action::Stop), Outcome::Done);
-    assert_eq!(bench.ask(Action::Arm), Outcome::Braking);
+    for _ in 0..2 {
+        assert_eq!(bench.ask(Action::Stop), Outcome::Done);
+        assert_eq!(bench.arm(), Outcome::Braking);
+        let still = Decision::still(Hold::Operator, TwistState::Disarmed);
+        for _ in 0..=Request::AFTER_STOP_NS / PERIOD {
+            assert_eq!(bench.good(), still);
+            assert_eq!(bench.arm(), Outcome::Braking);
+        }
+        assert_eq!(bench.good(), still);
+    }
+    // A clock that goes back begins the time anew.
+    bench.now -= 30 * PERIOD;
     bench.good();
-    assert_eq!(bench.supervisor.request(Action::Arm, 2), Outcome::Done);
+    assert_eq!(bench.arm(), Outcome::Braking);
+    (0..=Request::AFTER_STOP_NS / PERIOD).for_each(|_| _ = bench.good());
+    assert_eq!(bench.arm(), Outcome::Done);
     bench.resumes();
 }
 
 #[test]
-fn who_arms_after_a_stop_names_the_newest() {
+fn in_lockstep_an_arm_waits_for_the_zero_after_a_stop_alone() {
     let mut bench = Bench::moving();
-    for stops in 1..4 {
-        bench.ask(Action::Stop);
-        bench.good();
-        assert_eq!(bench.supervisor.stops(), stops);
-        for seen in [0, stops - 1, stops + 1, u32::MAX] {
-            let outcome = bench.supervisor.request(Action::Arm, seen);
-            assert_eq!(outcome, Outcome::Stopped, "{seen} of {stops}");
-            assert!(is_still(&bench.good()));
+    bench.supervisor.rules.lost_ns = None;
+    bench.ask(Action::Stop);
+    assert_eq!(bench.arm(), Outcome::Braking);
+    assert!(is_still(&bench.good()));
+    assert_eq!(bench.arm(), Outcome::Done);
+}
+
+#[test]
+fn who_arms_after_a_stop_or_a_disarm_names_the_newest() {
+    let mut bench = Bench::moving();
+    bench.supervisor.name_vetoes(7);
+    let mut old = Vec::new();
+    for action in [Action::Stop, Action::Disarm, Action::Disarm, Action::Stop] {
+        // The second one comes while it stands.
+        for _ in 0..2 {
+            bench.ask(action);
+            assert_eq!(Action::of_veto(bench.veto()), Some(action));
+            (0..20).for_each(|_| _ = bench.good());
+            let veto = bench.veto();
+            assert!(!old.contains(&veto));
+            for named in [0, 1, 2, veto ^ 1, veto ^ 2].iter().chain(&old) {
+                let outcome = bench.supervisor.request(Action::Arm, *named);
+                assert_eq!(outcome, Outcome::Vetoed, "{named} of {veto}");
+                assert!(is_still(&bench.good()));
+            }
+            old.push(veto);
         }
-        assert_eq!(bench.supervisor.request(Action::Arm, stops), Outcome::Done);
+        assert_eq!(bench.arm(), Outcome::Done);
         bench.resumes();
-        // After that arming a plain one does, and an old count still does not.
-        bench.ask(Action::Disarm);
-        (0..6).for_each(|_| _ = bench.good());
-        let old = bench.supervisor.request(Action::Arm, stops + 1);
-        assert_eq!(old, Outcome::Stopped);
+        assert_eq!(bench.veto(), 0);
+        // After that arming a plain one does, until the next veto.
+        bench.situation.robot = Some(Hold::RobotFault);
+        bench.good();
+        bench.situation.robot = None;
+        bench.good();
         assert_eq!(bench.ask(Action::Arm), Outcome::Done);
         bench.resumes();
+    }
+}
+
+#[test]
+fn a_disarm_after_a_stop_stays_a_stop() {
+    let mut bench = Bench::moving();
+    bench.ask(Action::Stop);
+    let stop = bench.veto();
+    bench.ask(Action::Disarm);
+    assert_eq!(Action::of_veto(bench.veto()), Some(Action::Stop));
+    assert_ne!(bench.veto(), stop);
+}
+
+/// A change of goals by `vpcctl visit`: the daemon ends by SIGHUP, another begins again, and `visit`
+/// asks it for `arm` until it is answered. Returns whether the camera moves, later than a brake
+/// takes after an operator's disarm at this instant was confirmed.
+fn visited(disarm_ns: u64) -> bool {
+    const HANGUP_NS: u64 = 200 * MS;
+    const GONE_NS: u64 = 300 * MS;
+    let mut bench = Some(Bench::moving());
+    let (mut began_ns, mut left, mut ended) = (0, 0, false);
+    let (mut confirmed_ns, mut armed) = (None, false);
+    let mut moved = false;
+    for now_ns in (0..3000 * MS).step_by(10 * MS as usize) {
+        if bench.is_none() && now_ns >= began_ns {
+            let mut again = Bench::new(true);
+            again.supervisor.begin_again(left);
+            again.situation.decision = Decision::hold(Hold::NoFeatures);
+            bench = Some(again);
+        }
+        let Some(daemon) = &mut bench else {
+            continue;
+        };
+        let is_new = began_ns > 0;
+        // A person whom nobody answers asks again.
+        if now_ns >= disarm_ns && confirmed_ns.is_none() {
+            assert_eq!(daemon.ask(Action::Disarm), Outcome::Done);
+            confirmed_ns = Some(now_ns);
+        }
+        if is_new && !armed && !ended {
+            match daemon.ask(Action::Arm) {
+                Outcome::Done => armed = true,
+                Outcome::Vetoed => ended = true,
+                _ => (),
+            }
+        }
+        if now_ns % (30 * MS) == 0 {
+            daemon.situation.shutdown = !is_new && now_ns >= HANGUP_NS;
+            let sees = !is_new || now_ns >= began_ns + 90 * MS;
+            let sent = if sees { daemon.good() } else { daemon.cycle() };
+            let is_late = confirmed_ns.is_some_and(|at| now_ns > at + 240 * MS);
+            moved |= is_late && !is_still(&sent);
+            if daemon.situation.shutdown && is_still(&sent) {
+                left = daemon.veto();
+                (bench, began_ns) = (None, now_ns + GONE_NS);
+            }
+        }
+    }
+    assert!(confirmed_ns.is_some() && (armed || ended));
+    let mut daemon = bench.unwrap();
+    if !moved {
+        // Who names it may.
+        assert_eq!(daemon.arm(), Outcome::Done);
+        daemon.resumes();
+    }
+    moved
+}
+
+#[test]
+fn a_disarm_at_any_instant_of_a_change_of_goals_holds() {
+    for disarm_ns in (0..1200 * MS).step_by(50 * MS as usize) {
+        assert!(!visited(disarm_ns), "at {} ms", disarm_ns / MS);
     }
 }
 
@@ -622,9 +732,9 @@ fn without_a_way_it_stands_armed_and_may_be_armed() {
     assert_eq!(first.state, TwistState::Braking);
     let last = (0..60).map(|_| no_way(&mut bench)).last().unwrap();
     assert_eq!(last, Decision::still(Hold::NoWay, TwistState::Holding));
-    bench.supervisor.request(Action::Disarm, 0);
+    bench.ask(Action::Disarm);
     no_way(&mut bench);
-    assert_eq!(bench.supervisor.request(Action::Arm, 0), Outcome::Done);
+    assert_eq!(bench.arm(), Outcome::Done);
     assert_eq!(no_way(&mut bench).state, TwistState::Holding);
     bench.resumes();
 }

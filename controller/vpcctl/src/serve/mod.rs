@@ -174,8 +174,8 @@ async fn command(
     }
     let request = match action {
         Action::Arm => {
-            let stops = field(&headers, "x-vpc-stops").and_then(|text| text.parse().ok());
-            request::arm(stops.unwrap_or(0))
+            let veto = field(&headers, "x-vpc-veto").and_then(|text| text.parse().ok());
+            request::arm(veto.unwrap_or(0))
         }
         _ => request::plain(action),
     };
@@ -194,7 +194,8 @@ async fn show_goal(State(server): State<Arc<Server>>, headers: HeaderMap) -> Res
         Ok(directory) => directory,
         Err(why) => return refusal(StatusCode::FORBIDDEN, why),
     };
-    let taught = move || teach::replace(&directory, LOOK, &AtomicBool::new(false), &mut Monotonic);
+    let never = AtomicBool::new(false);
+    let taught = move || teach::replace(&directory, LOOK, &[], &never, &mut Monotonic);
     match tokio::task::spawn_blocking(taught).await {
         Ok(Ok(lines)) => lines.into_response(),
         Ok(Err(failure)) => refusal(StatusCode::CONFLICT, &failure.to_string()),

@@ -8,7 +8,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use ipc::ReceiveError;
-use messages::{ClockMode, CycleRecord, ForesightCode, Hold, PhaseCode, RealTime, Reply};
+use messages::{Action, ClockMode, CycleRecord, ForesightCode, Hold, PhaseCode, RealTime, Reply};
 use messages::{SolverStatus, StrategyCode, TwistState};
 use program::Exit;
 use serde_json::{Value, json};
@@ -175,7 +175,10 @@ impl Status {
             "last_cause": last.map(|hold| hold.to_string()),
             "last_cause_over_ns": over.flatten().map(|at| now_ns.saturating_sub(at)),
             "answered": self.answered,
-            "stops": view.latest().map(|last| last.stops),
+            "veto": view.latest().and_then(|last| {
+                let action = Action::of_veto(last.veto)?;
+                Some(json!({ "action": action.to_string(), "number": last.veto }))
+            }),
             "strategy": self.strategy(),
             "cycles": view.latest().map(|last| cycles(last, view, now_ns)),
             "robot": robot,
@@ -304,10 +307,12 @@ times     {:>9}{:>10}{:>10}\n",
         };
         let [minor, major, blocked, heap] = view.disturbances;
         let faults = minor + major;
-        let stops = match last.stops {
-            0 => String::new(),
-            stops => format!(
-                "stops     {stops} by operators; to arm after one: vpcctl arm --stops {stops}\n"
+        let veto = match Action::of_veto(last.veto) {
+            None => String::new(),
+            Some(Action::Disarm) => "veto      an operator's disarm: vpcctl arm\n".to_owned(),
+            Some(action) => format!(
+                "veto      an operator's {action}; to arm all the same: vpcctl arm --veto {}\n",
+                last.veto
             ),
         };
         let (error, clearance) = (pixels(last.error_px), pixels(last.clearance_px));
@@ -331,7 +336,7 @@ times     {:>9}{:>10}{:>10}\n",
 real time {realtime}; {faults} page faults, {blocked} blocked, {heap} heap calls
 features  {features}
 solver    {solver}, {steps} iterations
-{wanted}twist     {sent}\n{stops}"
+{wanted}twist     {sent}\n{veto}"
         );
         text
     }

@@ -148,12 +148,14 @@ impl Session {
             };
             match command(&key) {
                 Some(Command::Quit) => break,
-                Some(Command::Ask(action)) => self.ask(request::plain(action)),
-                // What is on the screen was seen.
-                Some(Command::ArmAfterStop) => {
-                    let last = self.status.view.latest();
-                    self.ask(request::arm(last.map_or(0, |last| last.stops)));
+                // What is on the screen was seen; a stop takes a key of its own.
+                Some(Command::Ask(Action::Arm)) => {
+                    let veto = self.veto();
+                    let is_stop = Action::of_veto(veto) == Some(Action::Stop);
+                    self.ask(request::arm(if is_stop { 0 } else { veto }));
                 }
+                Some(Command::ArmAfterStop) => self.ask(request::arm(self.veto())),
+                Some(Command::Ask(action)) => self.ask(request::plain(action)),
                 Some(Command::Strategy(strategy)) => {
                     let is_knn = strategy == StrategyCode::Knn;
                     let neighbours = if is_knn { self.neighbours } else { 0 };
@@ -163,6 +165,11 @@ impl Session {
             }
         }
         Ok(())
+    }
+
+    /// The veto that the screen shows; 0: none.
+    fn veto(&self) -> u32 {
+        self.status.view.latest().map_or(0, |last| last.veto)
     }
 
     /// Sends a request from a thread of its own, so that the picture goes on; its answer replaces

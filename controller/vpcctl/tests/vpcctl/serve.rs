@@ -92,11 +92,11 @@ fn only_the_page_with_the_token_commands_and_only_with_control() {
     assert_eq!(stop.status.code(), Some(0), "{}", stderr(&stop));
     let refused = post(&server, &host, &origin, &token);
     assert!(
-        refused.starts_with("HTTP/1.1 409") && refused.ends_with("vpcctl arm --stops 1\n"),
+        refused.starts_with("HTTP/1.1 409") && refused.ends_with("vpcctl arm --veto 3\n"),
         "{refused}"
     );
     let fields =
-        format!("Host: {host}\r\nOrigin: {origin}\r\nX-Vpc-Token: {token}\r\nX-Vpc-Stops: 1\r\n");
+        format!("Host: {host}\r\nOrigin: {origin}\r\nX-Vpc-Token: {token}\r\nX-Vpc-Veto: 3\r\n");
     let done = server.ask("POST /arm", &fields, 1 << 16);
     assert!(done.starts_with("HTTP/1.1 200"), "{done}");
 }

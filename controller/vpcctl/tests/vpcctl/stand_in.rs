@@ -147,9 +147,9 @@ pub struct Law {
     hold: Option<Hold>,
     strategy: StrategyCode,
     neighbours: u32,
-    stops: u32,
-    /// Whether it was stopped since it was last armed.
-    is_stopped: bool,
+    /// The veto that stands.
+    veto: u32,
+    vetoes: u32,
 }
 
 impl Default for Law {
@@ -160,8 +160,8 @@ impl Default for Law {
             hold: Some(Hold::NotArmed),
             strategy: StrategyCode::Previous,
             neighbours: 0,
-            stops: 0,
-            is_stopped: false,
+            veto: 0,
+            vetoes: 0,
         }
     }
 }
@@ -171,20 +171,23 @@ impl Law {
         let strategy = StrategyCode::from_code(request.strategy);
         let outcome = match (request.action().unwrap(), strategy.unwrap()) {
             (Action::Strategy, StrategyCode::Gpr) => Outcome::NoMemory,
-            (Action::Arm, _) if self.is_stopped && request.stops != self.stops => Outcome::Stopped,
+            (Action::Arm, _) if ![0, request.veto].contains(&self.veto) => Outcome::Vetoed,
             _ => Outcome::Done,
         };
         match (request.action().unwrap(), outcome) {
             (Action::Arm, Outcome::Done) => {
                 (self.state, self.hold) = (TwistState::Moving, None);
-                self.is_stopped = false;
+                self.veto = 0;
             }
             (Action::Stop, _) => {
                 (self.state, self.hold) = (TwistState::Disarmed, Some(Hold::Operator));
-                (self.is_stopped, self.stops) = (true, self.stops + 1);
+                self.vetoes += 1;
+                self.veto = 2 * self.vetoes + 1;
             }
             (Action::Disarm, _) => {
                 (self.state, self.hold) = (TwistState::Disarmed, Some(Hold::Operator));
+                self.vetoes += 1;
+                self.veto = 2 * self.vetoes;
             }
             (Action::Strategy, Outcome::Done) => {
                 self.strategy = strategy.unwrap();
@@ -202,8 +205,9 @@ impl Law {
             hold: Hold::number(self.hold),
             strategy: self.strategy.code(),
             neighbours: self.neighbours,
-            stops: self.stops,
-            seen: 0,
+            veto: self.veto,
+            named: request.veto,
+            veto_ns: 0,
         }
     }
 
@@ -211,7 +215,7 @@ impl Law {
         self.cycle += 1;
         let mut record = CycleRecord {
             cycle: self.cycle,
-            stops: self.stops,
+            veto: self.veto,
             status: SolverStatus::Converged.code(),
             wake_latency_ns: 50_000,
             receive_ns: 2_000,

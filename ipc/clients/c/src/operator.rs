@@ -98,24 +98,25 @@ unsafe fn ask(
 const PATIENCE_NS: u64 = 1_000_000_000;
 
 /// Lets the control law move the camera, from the next good features on; waits for the answer, at
-/// most a second. VPC_STATUS_REFUSED with VPC_OUTCOME_STOPPED in `out`: an operator has stopped it
-/// since it was last armed; vpc_arm_after_stop.
+/// most a second. VPC_STATUS_REFUSED with VPC_OUTCOME_VETOED in `out`: an operator has stopped or
+/// disarmed it since it was last armed; vpc_arm_despite.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_arm(operator: *mut Operator, out: *mut Reply) -> Status {
     // SAFETY: the header asks for a handle and a place.
     unsafe { vpc_operator_ask(operator, Action::Arm.code(), 0, 0, PATIENCE_NS, out) }
 }
 
-/// Arms in spite of stops: `stops` is the count, as a reply or a cycle tells it, that the operator
-/// has seen. Refused if another stop came since.
+/// Arms in spite of a stop or a disarm, the `veto` of a reply or a cycle that the operator has seen.
+/// Refused if another came since. A program that arms by itself names the one that stood when it
+/// was started.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn vpc_arm_after_stop(
+pub unsafe extern "C" fn vpc_arm_despite(
     operator: *mut Operator,
-    stops: u32,
+    veto: u32,
     out: *mut Reply,
 ) -> Status {
     // SAFETY: the header asks for a handle and a place.
-    unsafe { ask(operator, Request::arm(fresh_id(), stops), PATIENCE_NS, out) }
+    unsafe { ask(operator, Request::arm(fresh_id(), veto), PATIENCE_NS, out) }
 }
 
 /// Brakes to zero and stays there until the next vpc_arm; waits for the answer, at most a second.

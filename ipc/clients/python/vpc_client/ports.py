@@ -302,12 +302,13 @@ class OperatorPorts(_Closes):
         """Asks for nothing but the state."""
         return self._asked(Action.STATUS, patience_s)
 
-    def arm(self, patience_s: float = 1.0, stops: int = 0) -> Reply:
+    def arm(self, patience_s: float = 1.0, veto: int = 0) -> Reply:
         """Lets the law move the camera, from the next good features on. Refused before the first.
 
-        After a stop it is Refused until `stops` is the count of stops, that of the refusal's reply: who arms then has seen
-        the newest one."""
-        return self._asked(Action.ARM, patience_s, stops=stops)
+        After an operator's stop or disarm it is Refused unless `veto` names the newest one: the `veto` of a Reply or a
+        CycleRecord. A program that arms by itself takes the one that stood when it was started, and never that of a
+        refusal: somebody has said no since."""
+        return self._asked(Action.ARM, patience_s, veto=veto)
 
     def disarm(self, patience_s: float = 1.0) -> Reply:
         """Brakes to zero, and stays there until the next `arm`."""
@@ -327,16 +328,16 @@ class OperatorPorts(_Closes):
         return self._asked(Action.RECORD, patience_s)
 
     def _asked(
-        self, action: Action, patience_s: float, strategy: int = 0, neighbours: int = 0, stops: int = 0
+        self, action: Action, patience_s: float, strategy: int = 0, neighbours: int = 0, veto: int = 0
     ) -> Reply:
-        reply = self.ask(action, strategy, neighbours, patience_s, stops)
+        reply = self.ask(action, strategy, neighbours, patience_s, veto)
         if reply.outcome != Outcome.DONE:
             words = Outcome(reply.outcome).words
             raise Refused(reply, f"{action.words}: {words} ({TwistState(reply.state).words}, {Hold(reply.hold).words})")
         return reply
 
     def ask(
-        self, action: Action, strategy: int = 0, neighbours: int = 0, patience_s: float = 1.0, stops: int = 0
+        self, action: Action, strategy: int = 0, neighbours: int = 0, patience_s: float = 1.0, veto: int = 0
     ) -> Reply:
         """Sends a request and returns its Reply, refusal or not."""
         if not self._domain.has_controller():
@@ -345,7 +346,7 @@ class OperatorPorts(_Closes):
         message.id = int.from_bytes(os.urandom(8), "little")
         message.action, message.strategy = action, strategy
         message.neighbours = unsigned("neighbours", neighbours, 64)
-        message.stops = unsigned("stops", stops, 2**32 - 1)
+        message.veto = unsigned("veto", veto, 2**32 - 1)
         self.requests.publish(message)
         end = time.monotonic() + patience_s
         while time.monotonic() < end:

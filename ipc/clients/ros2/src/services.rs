@@ -1,4 +1,4 @@
-//! std_srvs/Trigger: arm, arm_after_stop, disarm, stop, teach. Runs in a thread of its own and
+//! std_srvs/Trigger: arm, arm_despite, disarm, stop, teach. Runs in a thread of its own and
 //! waits for nothing, so that no request keeps a stop waiting.
 
 use std::hash::{BuildHasher, RandomState};
@@ -32,8 +32,9 @@ pub struct Services {
     teach: TriggerServer,
 }
 
-/// Of [`Services::asks`]: arms in spite of the stop that the last refusal of `arm` has told.
-const ARM_AFTER_STOP: usize = 2;
+/// Of [`Services::asks`]: arms in spite of the stop or disarm that the last refusal of `arm` has
+/// told.
+const ARM_DESPITE: usize = 2;
 
 impl Services {
     /// Offers them.
@@ -46,7 +47,7 @@ impl Services {
             asks: [
                 (ros.trigger("arm")?, Action::Arm),
                 (ros.trigger("disarm")?, Action::Disarm),
-                (ros.trigger("arm_after_stop")?, Action::Arm),
+                (ros.trigger("arm_despite")?, Action::Arm),
             ],
             teach: ros.trigger("teach")?,
         })
@@ -71,8 +72,8 @@ pub struct RequestServer<'a> {
     ports: OperatorPorts,
     ids: RandomState,
     waiting: Vec<Waiting>,
-    /// The count of stops that the last refusal of `arm` has told.
-    told_stops: u32,
+    /// The veto that the last refusal of `arm` has told.
+    told_veto: u32,
     /// Stops that wait for an answer, and until when.
     stops: Vec<(RmwRequestId, Instant)>,
     /// A goal that is being taught, by a program of its own, and for whom.
@@ -103,7 +104,7 @@ impl<'a> RequestServer<'a> {
             ports: OperatorPorts::open(domain)?,
             ids: RandomState::new(),
             waiting: Vec::new(),
-            told_stops: 0,
+            told_veto: 0,
             stops: Vec::new(),
             teaching: None,
             asked: None,
@@ -257,7 +258,7 @@ impl<'a> RequestServer<'a> {
             }
             let request = self.ids.hash_one(ipc::now_ns());
             let asked = match server {
-                ARM_AFTER_STOP => Request::arm(request, self.told_stops),
+                ARM_DESPITE => Request::arm(request, self.told_veto),
                 _ => Request::new(request, *action),
             };
             match self.ports.requests.publish(&asked) {
@@ -288,9 +289,9 @@ impl<'a> RequestServer<'a> {
                     self.is_stopping.store(false, Ordering::Relaxed);
                 }
                 let mut words = words(&reply);
-                if reply.outcome() == Some(Outcome::Stopped) {
-                    self.told_stops = reply.stops;
-                    words += "; look first, then call arm_after_stop";
+                if reply.outcome() == Some(Outcome::Vetoed) {
+                    self.told_veto = reply.veto;
+                    words += "; look first, then call arm_despite";
                 }
                 self.decided(&waiting, is_done, words);
             }

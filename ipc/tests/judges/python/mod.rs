@@ -244,12 +244,12 @@ fn messages_go_both_ways(python: &Path) {
     let request = eventually("an arm from Python", || {
         controller.requests.oldest().unwrap()
     });
-    assert_eq!((request.action(), request.stops), (Some(Action::Arm), 7));
+    assert_eq!((request.action(), request.veto), (Some(Action::Arm), 7));
     let armed = Reply {
         id: request.id,
         action: request.action,
         outcome: Outcome::Done.code(),
-        stops: 7,
+        veto: 7,
         ..reply
     };
     controller.replies.publish(&armed).unwrap();

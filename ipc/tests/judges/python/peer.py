@@ -73,7 +73,7 @@ def exchange(directory):
             except vpc_client.Refused as refusal:
                 print("refused", refusal, flush=True)
                 reply = refusal.reply
-            print("armed", operator.arm(patience_s=10.0, stops=7).stops, flush=True)
+            print("armed", operator.arm(patience_s=10.0, veto=7).veto, flush=True)
         print("reply", reply.stamp.data_ns, reply.action, reply.outcome, reply.state, reply.hold, end=" ")
         print(reply.strategy, reply.neighbours, flush=True)
 

@@ -214,11 +214,11 @@ fn an_operator_in_c_is_heard_and_told() {
             (
                 request.action(),
                 request.strategy,
-                request.neighbours + request.stops
+                request.neighbours + request.veto
             ),
             (Some(action), strategy, number)
         );
-        assert_eq!(request.stops > 0, words == ["arm", "3"]);
+        assert_eq!(request.veto > 0, words == ["arm", "3"]);
         let reply = Reply {
             stamp: Stamp::default(),
             // To somebody else first: it must be passed over.

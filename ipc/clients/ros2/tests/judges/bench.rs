@@ -145,8 +145,8 @@ impl Peer {
         while Instant::now() < end {
             last = self.ask("call arm");
             let words = last["message"].as_str().unwrap_or_default();
-            if words.contains("arm_after_stop") {
-                last = self.ask("call arm_after_stop");
+            if words.contains("arm_despite") {
+                last = self.ask("call arm_despite");
             }
             if last["success"] == json!(true) {
                 return;

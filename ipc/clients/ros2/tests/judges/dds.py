@@ -107,7 +107,7 @@ class Graph:
         self.commands_too = self.reader("rt/servo_node/delta_twist_cmds", TwistStamped, reliable=False)
         self.diagnostics = self.reader("rt/diagnostics", DiagnosticArray)
         self.overlays = {word: self.reader(f"rt/vpcd/overlay/{word}", ImageMarker) for word in ("seen", "goal", "foreseen")}
-        self.triggers = {word: Trigger(self, f"/vpcd/{word}") for word in ("arm", "arm_after_stop", "disarm", "stop", "teach")}
+        self.triggers = {word: Trigger(self, f"/vpcd/{word}") for word in ("arm", "arm_despite", "disarm", "stop", "teach")}
         self.last, self.drawn = {}, {}
         self.too = 0
 

@@ -34,7 +34,7 @@ class Graph:
         for word in ("seen", "goal", "foreseen"):
             draw = lambda marker, word=word: self.drawn.update({word: [[p.x, p.y] for p in marker.points]})
             self.subscriptions.append(node.create_subscription(ImageMarker, f"/vpcd/overlay/{word}", draw, 10))
-        self.triggers = {word: node.create_client(Trigger, f"/vpcd/{word}") for word in ("arm", "arm_after_stop", "disarm", "stop", "teach")}
+        self.triggers = {word: node.create_client(Trigger, f"/vpcd/{word}") for word in ("arm", "arm_despite", "disarm", "stop", "teach")}
 
     def count(self, _):
         self.too += 1
