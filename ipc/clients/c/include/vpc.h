@@ -278,7 +278,8 @@ enum vpc_outcome {
     VPC_OUTCOME_NO_FEATURES = 1,
     // Refused: the robot reports a fault or a reflex.
     VPC_OUTCOME_ROBOT_FAULT = 2,
-    // Refused: the camera is still braking; ask again when it stands still.
+    // Refused: the camera is still braking, or an operator stopped it less than 0.5 s ago; ask
+    // again.
     VPC_OUTCOME_BRAKING = 3,
     // Refused: the controller's memory of motion lacks what the strategy needs, or there is no
     // memory.
@@ -297,9 +298,9 @@ enum vpc_outcome {
     VPC_OUTCOME_ROBOT_LOST = 11,
     // Refused: what the robot says it carries out is not what it was commanded.
     VPC_OUTCOME_NOT_FOLLOWED = 12,
-    // Refused: an operator has stopped it since it was last armed, and the request does not name
-    // the newest stop.
-    VPC_OUTCOME_STOPPED = 13,
+    // Refused: an operator has stopped or disarmed it since it was last armed, and the request does
+    // not name the newest veto.
+    VPC_OUTCOME_VETOED = 13,
     // Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
     VPC_OUTCOME_NO_JOINTS = 14,
 };
@@ -567,8 +568,9 @@ typedef struct {
     uint32_t missed;
     // What happened in this cycle. Sum of vpc_cycle_flags bits.
     uint32_t flags;
-    // Stops by operators so far.
-    uint32_t stops;
+    // The veto that stands: the random name of the last operator's stop (odd) or disarm (even)
+    // since it was last armed; 0: none.
+    uint32_t veto;
     // Bit i is set if point i of points was seen.
     uint32_t visible;
     // Cycles in a row that the law answered by prediction, because no image came.
@@ -609,9 +611,9 @@ typedef struct {
     uint32_t strategy;
     // For strategy knn: neighbours averaged, 1 to 64; else zero.
     uint32_t neighbours;
-    // For action arm: the count of stops, as a reply or a cycle tells it, that the operator has
-    // seen and arms in spite of; 0: none since it was last armed. Else zero.
-    uint32_t stops;
+    // For action arm: the veto, as a reply or a cycle tells it, that the operator knows of and arms
+    // in spite of; 0: none. Else zero.
+    uint32_t veto;
 } vpc_request;
 
 // The controller's answer to a request. Service `vpc/replies`.
@@ -634,10 +636,14 @@ typedef struct {
     uint32_t strategy;
     // Its neighbours (knn), else zero.
     uint32_t neighbours;
-    // Stops by operators so far, each request and each change of the stop file.
-    uint32_t stops;
-    // The count of stops that the request names.
-    uint32_t seen;
+    // The veto that stands: the random name of the last operator's stop, by a request or the stop
+    // file (odd), or disarm (even) since it was last armed; 0: none.
+    uint32_t veto;
+    // The veto that the request names.
+    uint32_t named;
+    // The first cycle since that veto, CLOCK_MONOTONIC; greatest before that cycle, 0 without a
+    // veto. Unit: ns.
+    uint64_t veto_ns;
 } vpc_reply;
 
 // Header of an image. The image itself is a slice of `stride * height` bytes, top row first.
@@ -896,13 +902,14 @@ vpc_status vpc_operator_ask(vpc_operator *operator_,
                             vpc_reply *out);
 
 // Lets the control law move the camera, from the next good features on; waits for the answer, at
-// most a second. VPC_STATUS_REFUSED with VPC_OUTCOME_STOPPED in `out`: an operator has stopped it
-// since it was last armed; vpc_arm_after_stop.
+// most a second. VPC_STATUS_REFUSED with VPC_OUTCOME_VETOED in `out`: an operator has stopped or
+// disarmed it since it was last armed; vpc_arm_despite.
 vpc_status vpc_arm(vpc_operator *operator_, vpc_reply *out);
 
-// Arms in spite of stops: `stops` is the count, as a reply or a cycle tells it, that the operator
-// has seen. Refused if another stop came since.
-vpc_status vpc_arm_after_stop(vpc_operator *operator_, uint32_t stops, vpc_reply *out);
+// Arms in spite of a stop or a disarm, the `veto` of a reply or a cycle that the operator has seen.
+// Refused if another came since. A program that arms by itself names the one that stood when it
+// was started.
+vpc_status vpc_arm_despite(vpc_operator *operator_, uint32_t veto, vpc_reply *out);
 
 // Brakes to zero and stays there until the next vpc_arm; waits for the answer, at most a second.
 vpc_status vpc_disarm(vpc_operator *operator_, vpc_reply *out);
@@ -1036,7 +1043,7 @@ static_assert(offsetof(vpc_cycle_record, desired) == 1904, "vpc_cycle_record.des
 static_assert(offsetof(vpc_cycle_record, requests) == 1952, "vpc_cycle_record.requests");
 static_assert(offsetof(vpc_cycle_record, missed) == 1956, "vpc_cycle_record.missed");
 static_assert(offsetof(vpc_cycle_record, flags) == 1960, "vpc_cycle_record.flags");
-static_assert(offsetof(vpc_cycle_record, stops) == 1964, "vpc_cycle_record.stops");
+static_assert(offsetof(vpc_cycle_record, veto) == 1964, "vpc_cycle_record.veto");
 static_assert(offsetof(vpc_cycle_record, visible) == 1968, "vpc_cycle_record.visible");
 static_assert(offsetof(vpc_cycle_record, predicted) == 1972, "vpc_cycle_record.predicted");
 static_assert(offsetof(vpc_cycle_record, arm_bound) == 1976, "vpc_cycle_record.arm_bound");
@@ -1054,8 +1061,8 @@ static_assert(offsetof(vpc_request, id) == 24, "vpc_request.id");
 static_assert(offsetof(vpc_request, action) == 32, "vpc_request.action");
 static_assert(offsetof(vpc_request, strategy) == 36, "vpc_request.strategy");
 static_assert(offsetof(vpc_request, neighbours) == 40, "vpc_request.neighbours");
-static_assert(offsetof(vpc_request, stops) == 44, "vpc_request.stops");
-static_assert(sizeof(vpc_reply) == 72, "vpc_reply");
+static_assert(offsetof(vpc_request, veto) == 44, "vpc_request.veto");
+static_assert(sizeof(vpc_reply) == 80, "vpc_reply");
 static_assert(offsetof(vpc_reply, stamp) == 0, "vpc_reply.stamp");
 static_assert(offsetof(vpc_reply, id) == 24, "vpc_reply.id");
 static_assert(offsetof(vpc_reply, cycle) == 32, "vpc_reply.cycle");
@@ -1065,8 +1072,9 @@ static_assert(offsetof(vpc_reply, state) == 48, "vpc_reply.state");
 static_assert(offsetof(vpc_reply, hold) == 52, "vpc_reply.hold");
 static_assert(offsetof(vpc_reply, strategy) == 56, "vpc_reply.strategy");
 static_assert(offsetof(vpc_reply, neighbours) == 60, "vpc_reply.neighbours");
-static_assert(offsetof(vpc_reply, stops) == 64, "vpc_reply.stops");
-static_assert(offsetof(vpc_reply, seen) == 68, "vpc_reply.seen");
+static_assert(offsetof(vpc_reply, veto) == 64, "vpc_reply.veto");
+static_assert(offsetof(vpc_reply, named) == 68, "vpc_reply.named");
+static_assert(offsetof(vpc_reply, veto_ns) == 72, "vpc_reply.veto_ns");
 static_assert(sizeof(vpc_image_header) == 56, "vpc_image_header");
 static_assert(offsetof(vpc_image_header, stamp) == 0, "vpc_image_header.stamp");
 static_assert(offsetof(vpc_image_header, exposure_begin_ns) == 24, "vpc_image_header.exposure_begin_ns");

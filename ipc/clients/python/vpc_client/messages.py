@@ -270,8 +270,9 @@ class Outcome(Code):
     NO_FEATURES = 1, "refused: no good features are coming"
     # Refused: the robot reports a fault or a reflex.
     ROBOT_FAULT = 2, "refused: the robot reports a fault: clear it at the robot, or by vpcctl recover"
-    # Refused: the camera is still braking; ask again when it stands still.
-    BRAKING = 3, "refused: still braking"
+    # Refused: the camera is still braking, or an operator stopped it less than 0.5 s ago; ask
+    # again.
+    BRAKING = 3, "refused: still braking, or stopped less than 0.5 s ago"
     # Refused: the controller's memory of motion lacks what the strategy needs, or there is no
     # memory.
     NO_MEMORY = 4, "refused: no memory of motion for this strategy"
@@ -289,9 +290,9 @@ class Outcome(Code):
     ROBOT_LOST = 11, "refused: the robot fell silent: start its client again"
     # Refused: what the robot says it carries out is not what it was commanded.
     NOT_FOLLOWED = 12, "refused: the robot does not follow its commands"
-    # Refused: an operator has stopped it since it was last armed, and the request does not name the
-    # newest stop.
-    STOPPED = 13, "refused: stopped since it was last armed"
+    # Refused: an operator has stopped or disarmed it since it was last armed, and the request does
+    # not name the newest veto.
+    VETOED = 13, "refused: an operator has stopped or disarmed it since it was last armed"
     # Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
     NO_JOINTS = 14, "refused: the arm's joints are unknown"
 
@@ -643,8 +644,9 @@ class CycleRecord(Message):
         ("missed", ctypes.c_uint32),
         # What happened in this cycle. Sum of `CycleFlags` bits.
         ("flags", ctypes.c_uint32),
-        # Stops by operators so far.
-        ("stops", ctypes.c_uint32),
+        # The veto that stands: the random name of the last operator's stop (odd) or disarm (even)
+        # since it was last armed; 0: none.
+        ("veto", ctypes.c_uint32),
         # Bit i is set if point i of `points` was seen.
         ("visible", ctypes.c_uint32),
         # Cycles in a row that the law answered by prediction, because no image came.
@@ -717,7 +719,7 @@ class CycleRecord(Message):
         requests: int
         missed: int
         flags: int
-        stops: int
+        veto: int
         visible: int
         predicted: int
         arm_bound: int
@@ -726,7 +728,7 @@ class CycleRecord(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/2ea260e6"
+        return "vpc/CycleRecord/3a64154d"
 
 
 class Snapshot(Message):
@@ -773,9 +775,9 @@ class Request(Message):
         ("strategy", ctypes.c_uint32),
         # For strategy knn: neighbours averaged, 1 to 64; else zero.
         ("neighbours", ctypes.c_uint32),
-        # For action `arm`: the count of stops, as a reply or a cycle tells it, that the operator
-        # has seen and arms in spite of; 0: none since it was last armed. Else zero.
-        ("stops", ctypes.c_uint32),
+        # For action `arm`: the veto, as a reply or a cycle tells it, that the operator knows of and
+        # arms in spite of; 0: none. Else zero.
+        ("veto", ctypes.c_uint32),
     ]
 
     if TYPE_CHECKING:
@@ -784,11 +786,11 @@ class Request(Message):
         action: int
         strategy: int
         neighbours: int
-        stops: int
+        veto: int
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Request/df8a405d"
+        return "vpc/Request/7f6cb832"
 
 
 class Reply(Message):
@@ -813,10 +815,14 @@ class Reply(Message):
         ("strategy", ctypes.c_uint32),
         # Its neighbours (knn), else zero.
         ("neighbours", ctypes.c_uint32),
-        # Stops by operators so far, each request and each change of the stop file.
-        ("stops", ctypes.c_uint32),
-        # The count of stops that the request names.
-        ("seen", ctypes.c_uint32),
+        # The veto that stands: the random name of the last operator's stop, by a request or the
+        # stop file (odd), or disarm (even) since it was last armed; 0: none.
+        ("veto", ctypes.c_uint32),
+        # The veto that the request names.
+        ("named", ctypes.c_uint32),
+        # The first cycle since that veto, CLOCK_MONOTONIC; greatest before that cycle, 0 without a
+        # veto. Unit: ns.
+        ("veto_ns", ctypes.c_uint64),
     ]
 
     if TYPE_CHECKING:
@@ -829,12 +835,13 @@ class Reply(Message):
         hold: int
         strategy: int
         neighbours: int
-        stops: int
-        seen: int
+        veto: int
+        named: int
+        veto_ns: int
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Reply/414da61d"
+        return "vpc/Reply/c3335438"
 
 
 class ImageHeader(Message):
