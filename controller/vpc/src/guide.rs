@@ -214,7 +214,8 @@ impl Guide {
             return Some((target, away_px));
         }
         let (target, posture) = at.path.target(at.task, self.ahead)?;
-        Some((target, JOINT_PX * (posture - at.q?).amax()))
+        let way = at.task.arm.as_ref()?.limits.way(at.q?, &posture);
+        Some((target, JOINT_PX * way.amax()))
     }
 
     /// The target of the next `steps` steps (less than one in a cycle); `None` for the goal.

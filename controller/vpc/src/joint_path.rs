@@ -17,7 +17,7 @@
 use core::f64::consts::PI;
 
 use ::arm::ik::{ELBOW, posture};
-use ::arm::{Arm, JOINTS, Joints, Pose, Slack};
+use ::arm::{Arm, JOINTS, Joints, Limits, Pose, Slack};
 use nalgebra::{Point3, Rotation3, Translation3, Vector3};
 use serde::{Deserialize, Serialize};
 
@@ -156,11 +156,12 @@ impl Tree<'_> {
         Some(index)
     }
 
-    fn nearest(&self, to: &Joints) -> Option<usize> {
+    fn nearest(&self, limits: &Limits, to: &Joints) -> Option<usize> {
         let nodes = self.nodes.iter().take(self.count);
         let away = |[q @ .., _]: &[f64; NUMBERS]| -> f64 {
-            let each = q.iter().zip(to.iter());
-            each.map(|(a, b)| (a - b) * (a - b)).sum()
+            let each = q.iter().zip(to.iter()).zip(&limits.0);
+            let ways = each.map(|((from, to), joint)| joint.way(*from, *to));
+            ways.map(|way| way * way).sum()
         };
         let all = nodes.map(away).enumerate();
         Some(all.min_by(|a, b| a.1.total_cmp(&b.1))?.0)
@@ -330,8 +331,8 @@ impl<'a> Planner<'a> {
         let (mut q, arm) = (self.start, self.arm);
         for (k, (joint, limits)) in q.iter_mut().zip(&arm.limits.0).enumerate() {
             if self.moves(k) {
-                let is_finite = limits.range.iter().all(|end| end.is_finite());
-                *joint = self.between(if is_finite { limits.range } else { ENDLESS });
+                let is_endless = limits.is_endless();
+                *joint = self.between(if is_endless { ENDLESS } else { limits.range });
             }
         }
         q
@@ -377,12 +378,12 @@ impl<'a> Planner<'a> {
     /// last that was added, and whether it is `to`; `None` if there is none.
     fn extend(&mut self, tree: &mut Tree, to: &Joints) -> Option<(usize, bool)> {
         self.spend(NEAREST_NS * tree.count as u64);
-        let mut at = tree.nearest(to)?;
+        let mut at = tree.nearest(&self.arm.limits, to)?;
         let (mut q, _) = tree.get(at)?;
         let mut before = self.condition(&q)?;
         let mut added = None;
         loop {
-            let way = to - q;
+            let way = self.way(&q, to);
             let is_there = way.norm() <= STEP;
             let next = match is_there {
                 true => *to,
@@ -410,7 +411,7 @@ impl<'a> Planner<'a> {
         let Some(mut before) = self.condition(from) else {
             return false;
         };
-        let way = to - from;
+        let way = self.way(from, to);
         let steps = libm::ceil(way.norm() / STEP).max(1.0) as u32;
         (1..=steps).all(|k| {
             let q = from + way * (f64::from(k) / f64::from(steps));
@@ -443,7 +444,7 @@ impl<'a> Planner<'a> {
         let ways = |k: usize| Some((path.get(k)?.0, path.get(k + 1)?.0));
         let all = || (0..path.count.saturating_sub(1)).filter_map(ways);
         let parts = |(from, to): &(Joints, Joints), spacing: f64| {
-            libm::ceil((to - from).norm() / spacing).max(1.0) as usize
+            libm::ceil(self.way(from, to).norm() / spacing).max(1.0) as usize
         };
         let mut spacing = SPACING;
         while all().map(|way| parts(&way, spacing)).sum::<usize>() > PLACES {
@@ -460,7 +461,7 @@ impl<'a> Planner<'a> {
             let (from, to) = way;
             let parts = parts(&way, spacing);
             for k in 1..=parts {
-                let q = from + (to - from) * (k as f64 / parts as f64);
+                let q = from + self.way(&from, &to) * (k as f64 / parts as f64);
                 let place = places.next()?;
                 place
                     .iter_mut()
@@ -470,6 +471,10 @@ impl<'a> Planner<'a> {
             }
         }
         (found.count > 0).then_some(found)
+    }
+
+    fn way(&self, from: &Joints, to: &Joints) -> Joints {
+        self.arm.limits.way(from, to)
     }
 
     fn between(&mut self, [least, most]: [f64; 2]) -> f64 {
@@ -597,6 +602,37 @@ mod tests {
             assert_eq!(path.posture(path.count + 1), None);
         }
         assert!(found >= 20, "{found}");
+    }
+
+    #[test]
+    fn a_path_goes_over_the_end_of_an_endless_joints_turn() {
+        let mut task = task();
+        let arm = task.arm.as_mut().unwrap();
+        arm.limits.0[6].range = ::arm::JointLimits::NONE.range;
+        let limits = arm.limits;
+        // 1.7 rad this way round, 4.6 rad the other.
+        let initial = seen(&task, 2.5);
+        let mut found = 0;
+        for number in 0..10 {
+            let mut room = std::vec![0.0; ROOM];
+            let work = 20_000_000;
+            let mut planner = Planner::new(&task, &initial, MARGIN_PX, number, work).unwrap();
+            let Some(path) = planner.search(&mut room) else {
+                continue;
+            };
+            found += 1;
+            let (mut before, mut turned) = (initial.q.unwrap(), 0.0);
+            for ahead in (1..=path.count).rev() {
+                let q = path.posture(ahead).unwrap();
+                let way = limits.way(&before, &q);
+                assert!(way.amax() < 0.5, "{way}");
+                (before, turned) = (q, turned + way[6]);
+            }
+            // Whichever way round, it ends where joint 7 is at -2.1 rad or at a turn from there,
+            // or at another posture that shows the goal.
+            assert!(turned.abs() < 3.0, "{number}: {turned}");
+        }
+        assert!(found >= 5, "{found}");
     }
 
     #[test]

@@ -115,7 +115,7 @@ impl Towards {
     /// The velocities of the camera, along its axes, and of the elbow that lead straight there from
     /// `q`, as fast as their limits and the joints' allow, and not past it in so many seconds.
     fn straight(&self, arm: &Arm, q: &Joints, moves: &Moves, seconds: f64) -> ([f64; 6], f64) {
-        let way = self.q - q;
+        let way = arm.limits.way(q, &self.q);
         let twist = moves.along.transpose() * (moves.jacobian * way);
         let elbow = match arm.is_elbow_free {
             true => elbow::along(&moves.free, &(way - moves.map * twist)),
@@ -345,6 +345,13 @@ impl Arm {
         q + velocities(&middle) * seconds
     }
 
+    /// The camera's velocity along its axes while the joints move at `dq`, rad/s or m/s; also its
+    /// short way as they go `dq`, rad or m.
+    pub fn camera_twist(&self, q: &Joints, dq: &Joints) -> [f64; 6] {
+        let (camera, jacobian) = self.chain.at(q);
+        (along_camera(&camera).transpose() * (jacobian * dq)).into()
+    }
+
     /// The camera's mean velocity along its axes while it is told to move at `twist` for so long:
     /// `twist` itself, unless the arm has fewer than six joints.
     pub fn carried(&self, q: &Joints, twist: &[f64; 6], seconds: f64) -> [f64; 6] {
@@ -555,6 +562,28 @@ mod tests {
                 let sinks: f64 = bound.gradient.iter().zip(twist).map(|(g, v)| g * v).sum();
                 assert!((sinks + (after - before) / (2.0 * h)).abs() < 1e-8);
             }
+        }
+    }
+
+    #[test]
+    fn the_way_to_a_posture_goes_over_the_end_of_an_endless_joints_turn() {
+        let mut arm = arm();
+        arm.limits.0[6].range = crate::limits::JointLimits::NONE.range;
+        let mut q = Joints::from(READY);
+        q[6] = 3.0;
+        let wanted = |at: f64| {
+            let mut to = q;
+            to[6] = at;
+            let limits = [0.5, 0.5, 0.5, 1.0, 1.0, 1.0];
+            let towards = Towards { q: to, limits };
+            let dampers = Dampers::towards(&arm, &q, &ACCELERATIONS, 0.1, Some(&towards));
+            dampers.joints(&dampers.wanted.unwrap())[6]
+        };
+        let turn = core::f64::consts::TAU;
+        for at in [3.1, 3.1 - turn, 3.1 + 3.0 * turn] {
+            let speed = wanted(at);
+            assert!(speed > 0.1, "{at}: {speed}");
+            assert!((speed - wanted(3.1)).abs() < 1e-9, "{at}: {speed}");
         }
     }
 

@@ -3,6 +3,7 @@
 //! Source: Franka Emika, "Robot and interface specifications", tables of necessary conditions; for
 //! the FR3 also libfranka 0.21, `joint_velocity_limits.h`. The emulator has tables of its own.
 
+use core::f64::consts::TAU;
 use core::fmt;
 use core::str::FromStr;
 
@@ -167,6 +168,20 @@ impl JointLimits {
         joint(range[0], range[1], velocity, acceleration)
     }
 
+    /// Whether it turns without end: positions that are a whole turn apart are the same then.
+    pub fn is_endless(&self) -> bool {
+        self.range == Self::NONE.range
+    }
+
+    /// The way from one position to another, rad: the shorter one round where it turns without end.
+    pub fn way(&self, from: f64, to: f64) -> f64 {
+        let way = to - from;
+        match self.is_endless() {
+            true => way - TAU * libm::round(way / TAU),
+            false => way,
+        }
+    }
+
     /// The distances from the lower and to the upper end of the range, rad; negative beyond them.
     pub fn room(&self, q: f64) -> [f64; 2] {
         [q - self.range[0], self.range[1] - q]
@@ -200,6 +215,11 @@ impl JointLimits {
 }
 
 impl Limits {
+    /// The way from one posture to another, joint by joint: [`JointLimits::way`].
+    pub fn way(&self, from: &Joints, to: &Joints) -> Joints {
+        Joints::from_fn(|k, _| self.0[k].way(from[k], to[k]))
+    }
+
     /// Whether the robot accepts these velocities for the period after `from`.
     pub fn allow(&self, from: &Setpoint, dq: &Joints) -> bool {
         let next = from.after(dq);
@@ -252,6 +272,22 @@ mod tests {
         assert!(PANDA.allow(&rest(), &dq));
         dq[1] = 1.1 * 3750.0 * 1e-6;
         assert!(!PANDA.allow(&rest(), &dq));
+    }
+
+    #[test]
+    fn the_way_of_an_endless_joint_is_the_shorter_one_round() {
+        let endless = JointLimits::new(JointLimits::NONE.range, 1.0, 1.0);
+        assert!(endless.is_endless() && !PANDA.0[6].is_endless());
+        for turns in [0.0, 1.0, -3.0] {
+            let way = endless.way(3.0, -3.0 + turns * TAU);
+            assert!((way - (TAU - 6.0)).abs() < 1e-12, "{way}");
+        }
+        let mut limits = PANDA;
+        limits.0[6] = endless;
+        let [from, to] = [3.0, -3.0].map(|q| Joints::from_element(q));
+        let way = limits.way(&from, &to);
+        assert_eq!(way[5], -6.0);
+        assert!((way[6] - (TAU - 6.0)).abs() < 1e-12, "{}", way[6]);
     }
 
     #[test]

@@ -355,6 +355,7 @@ impl Checker {
         margin: f64,
     ) -> Result<ArmJoint, FileError> {
         let limit = &joint.limit;
+        let is_endless = joint.joint_type == JointType::Continuous;
         let range = match joint.joint_type {
             JointType::Continuous => [f64::NEG_INFINITY, f64::INFINITY],
             JointType::Revolute | JointType::Prismatic => [limit.lower, limit.upper],
@@ -367,7 +368,11 @@ impl Checker {
         // A NaN fails each.
         for (holds, what, allowed) in [
             (joint.mimic.is_none(), "mimic", "none between base and tip"),
-            (range[0] < range[1], "limit", "lower below upper"),
+            (
+                range[0] < range[1] && (is_endless || range.iter().all(|end| end.is_finite())),
+                "limit",
+                "lower below upper, both finite",
+            ),
             (
                 range[1] - range[0] > 2.0 * margin,
                 "limit",

@@ -224,6 +224,10 @@ fn what_is_wrong_is_named_with_its_file_its_value_and_what_is_allowed() {
             vec!["lower below upper"],
         ),
         (
+            urdf("lower=\"-2.8973\"", "lower=\"-inf\""),
+            vec!["panda_joint1: limit", "both finite"],
+        ),
+        (
             urdf("lower=\"-2.8973\"", "lower=\"nan\""),
             vec!["cell/panda.urdf"],
         ),
