@@ -195,7 +195,9 @@ impl Arm {
             let is_fresh = |at: u64| now_ns.saturating_sub(at) <= self.max_age_ns;
             let joints = self.joints.filter(|(at, ..)| is_fresh(*at));
             let missing = || Refusal::NoJoints(self.keys.joint_states.clone());
-            let (_, q, dq) = joints.ok_or_else(missing)?;
+            let (at, q, dq) = joints.ok_or_else(missing)?;
+            // Both count from one instant on: the older one.
+            state.stamp.data_ns = data_ns.min(at);
             state.joints = self.keys.joints.len() as u32;
             (state.q, state.dq) = (q, dq);
         }
@@ -309,6 +311,11 @@ mod tests {
             (state.joints, &state.q[..2], &state.dq[..2]),
             (2, &[2.0, 1.0][..], &[0.2, 0.1][..])
         );
+        let at = |twist_ns| {
+            let state = arm.state([0.0; 6], twist_ns, Command::None, NOW + 100 * MS);
+            state.unwrap().stamp.data_ns
+        };
+        assert_eq!([at(NOW - MS), at(NOW + 100 * MS)], [NOW - MS, NOW]);
         let late = arm.state([0.0; 6], NOW, Command::None, NOW + 201 * MS);
         assert_eq!(late.unwrap_err().kind(), "joints missing");
         let refused = |change: fn(&mut JointState)| {
