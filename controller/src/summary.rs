@@ -33,6 +33,8 @@ pub struct Summary {
     arm: Option<Arm>,
     /// What of it binds the command of the last cycle with features, in words.
     bound: Option<String>,
+    /// What is wrong with the joints that the robot told last, in words.
+    joint_fault: Option<String>,
 }
 
 impl Summary {
@@ -65,6 +67,7 @@ impl Summary {
         if record.count > 0 {
             self.bound = self.bound(record);
         }
+        self.joint_fault = self.joint_fault(record);
         self.log_changes(record);
         self.log_foresight(record);
         self.phase = record.phase;
@@ -149,8 +152,18 @@ impl Summary {
         })
     }
 
+    /// What is wrong with the joints that the robot told last, in words.
+    fn joint_fault(&self, record: &CycleRecord) -> Option<String> {
+        let names = self.arm.as_ref().map_or(&[][..], |arm| &arm.joint_names);
+        Some(record.joint_fault()?.words(names).to_string())
+    }
+
     /// Why the law's twist is not sent, with what of the arm stands in its way.
     fn words(&self, cause: Hold) -> String {
+        if let (Hold::NoJoints | Hold::JointsNotFollowing, Some(fault)) = (cause, &self.joint_fault)
+        {
+            return format!("{cause}: {fault}");
+        }
         match (cause, &self.bound, &self.arm) {
             (Hold::NoWay, Some(bound), _) => format!("{cause}: {bound}"),
             (Hold::NoJoints, _, Some(arm)) => {
@@ -341,6 +354,7 @@ mod tests {
         let numbered = "holding: no way known: joint 4 is at the end of its range; ";
         assert!(status(None, &held).starts_with(numbered));
         held.hold = Hold::NoJoints.code();
+        let shipped = arm.clone();
         let told = status(arm, &held);
         assert!(
             told.starts_with("holding: joints unknown: the scene's arm has 7"),
@@ -348,6 +362,14 @@ mod tests {
         );
         held.hold = Hold::Hidden.code();
         assert!(status(None, &held).starts_with("holding: hidden point; "));
+        held.hold = Hold::NoJoints.code();
+        held.joint_fault = messages::JointFaultCode::Range.code();
+        (held.joint_fault_index, held.joint_fault_found) = (6, 5.0);
+        held.joint_fault_allowed = [-2.947, 2.947];
+        let told = status(shipped, &held);
+        let named =
+            "holding: joints unknown: panda_joint7 is told at 5.000; allowed: -2.947 to 2.947; ";
+        assert!(told.starts_with(named), "{told}");
     }
 
     #[test]

@@ -1,8 +1,8 @@
 //! Conversions between the codes of the contract and the types of the control law.
 
 use messages::{
-    ArmBound, Bound, CycleRecord, Features, ForesightCode, Hold, RecallCode, SolverStatus, Stamp,
-    StrategyCode,
+    ArmBound, Bound, CycleRecord, Features, ForesightCode, Hold, JointFault, RecallCode,
+    SolverStatus, Stamp, StrategyCode,
 };
 use vpc::arm::{Cause, Other, Pair};
 use vpc::foresight::{Foresight, Outcome, PLACES};
@@ -164,6 +164,16 @@ pub fn record_hidden<W: AsRef<[f64]> + AsMut<[f64]>>(law: &Law<W>, record: &mut 
         if let (Some(to), Some(covariance)) = (pixels.get_mut(point), covariances.get_mut(point)) {
             (*to, *covariance) = (*pixel, ellipse.map(f64::from));
         }
+    }
+}
+
+/// Copies what is wrong with the robot's joints into the record of the cycle that heard of it.
+pub fn record_joint_fault(fault: Option<JointFault>, record: &mut CycleRecord) {
+    record.joint_fault = fault.map_or(0, |fault| fault.code.code());
+    if let Some(fault) = fault {
+        record.joint_fault_index = fault.joint;
+        record.joint_fault_found = fault.found;
+        record.joint_fault_allowed = fault.allowed;
     }
 }
 

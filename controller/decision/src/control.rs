@@ -18,6 +18,7 @@ use crate::contract;
 use crate::decision::Decision;
 use crate::gate::{Gate, Link, Verdict};
 use crate::input::{Input, Inputs};
+use crate::joints::JointWatch;
 use crate::law::{self, Bounds};
 use crate::robot::RobotWatch;
 use crate::rules::{Rules, ns};
@@ -38,6 +39,7 @@ pub struct Answer {
 pub struct State {
     pub gate: Gate,
     pub robot: RobotWatch,
+    pub joints: JointWatch,
     pub law: vpc::State,
     pub supervisor: Supervisor,
     /// The last command of the law, for cycles without new features.
@@ -62,6 +64,7 @@ pub struct Wish {
 pub struct ControlStep<'m> {
     gate: Gate,
     robot: RobotWatch,
+    joints: JointWatch,
     law: Law<Vec<f64>>,
     memory: Option<Memory<'m>>,
     bounds: Bounds,
@@ -92,6 +95,7 @@ impl<'m> ControlStep<'m> {
         Ok(Self {
             gate: Gate::new(stale_ns),
             robot: RobotWatch::new(&rules),
+            joints: JointWatch::new(&rules),
             law,
             memory,
             bounds: Bounds::of(scene),
@@ -116,6 +120,7 @@ impl<'m> ControlStep<'m> {
         let Self {
             gate,
             robot,
+            joints,
             law,
             memory: _,
             bounds: _,
@@ -127,6 +132,7 @@ impl<'m> ControlStep<'m> {
         State {
             gate: *gate,
             robot: *robot,
+            joints: *joints,
             law: law.state(),
             supervisor: *supervisor,
             standing: *standing,
@@ -140,6 +146,7 @@ impl<'m> ControlStep<'m> {
     pub fn restore(&mut self, state: &State) {
         self.gate = state.gate;
         self.robot = state.robot;
+        self.joints = state.joints;
         self.law.restore(&state.law);
         self.supervisor = state.supervisor;
         self.standing = state.standing;
@@ -229,16 +236,8 @@ impl<'m> ControlStep<'m> {
         if self.robot.is_idle() {
             self.law.expect_no_motion();
         }
-        if let Input::Message(state) = &inputs.robot {
-            let joints = state.q.get(..state.joints as usize).unwrap_or_default();
-            let Stamp {
-                data_ns,
-                published_ns,
-                ..
-            } = state.stamp;
-            let at_ns = if data_ns == 0 { published_ns } else { data_ns };
-            self.law.see_joints(joints, at_ns);
-        }
+        self.see_joints(inputs);
+        let robot = robot.or_else(|| self.joints.hold());
         record.desired = self.want(inputs);
         let proposed = self.propose(inputs, record);
         (record.predicted, record.drift) = (self.predicted, *self.law.drift());
@@ -267,10 +266,12 @@ impl<'m> ControlStep<'m> {
         self.law.sent(&decision.twist, effective_ns);
         self.law.sent_elbow(decision.elbow);
         self.robot.sent(&decision.twist, inputs.now_ns);
+        self.joints.sent(&decision.twist);
         record.features_sequence = proposed.stamp.sequence;
         (record.twist, record.elbow) = (decision.twist, decision.elbow);
         record.state = decision.state.code();
         record.hold = Hold::number(decision.hold);
+        contract::record_joint_fault(self.joints.fault(decision.hold), record);
         Answer {
             stamp: proposed.stamp,
             decision,
@@ -352,6 +353,16 @@ impl<'m> ControlStep<'m> {
         }
         self.law.sent_late(at_ns);
         self.law.sent(twist, at_ns);
+    }
+
+    /// Shows the law the joints that the robot tells, where they can be its own.
+    fn see_joints(&mut self, inputs: &Inputs) {
+        if let (Some(arm), Input::Message(state)) = (&self.law.task().arm, &inputs.robot) {
+            let at_ns = self.joints.look(arm, state, inputs.now_ns);
+            let joints = at_ns.and_then(|_| state.q.get(..state.joints as usize));
+            self.law
+                .see_joints(joints.unwrap_or_default(), at_ns.unwrap_or_default());
+        }
     }
 
     /// What gate and law would send.

@@ -4,7 +4,7 @@
 //!
 //! Without `std` there is no clock, no file, no thread and no environment here: the compiler keeps
 //! the function pure. The time is an argument. [`ControlStep::decide`] calls, in this order, the
-//! [`gate`], the law ([`law`], [`contract`]), the watch of the robot ([`robot`]) and the
+//! watches of the robot ([`robot`], [`joints`]), the [`gate`], the law ([`law`], [`contract`]) and the
 //! [`supervisor`]. Each module uses only those above it:
 //!
 //! - [`rules`]: limits and times, from scene and settings
@@ -13,6 +13,7 @@
 //! - [`contract`]: codes of messages and types of the law
 //! - [`gate`]: order and age of the features
 //! - [`robot`]: a robot that is at fault, silent, or not following
+//! - [`joints`]: joints that are out of range, or do not move as their robot says
 //! - [`law`]: the last check of the law's twist
 //! - [`veto`]: an operator's stop or disarm, which the next arming names
 //! - [`supervisor`]: armed, braking, disarmed
@@ -30,6 +31,7 @@ pub mod control;
 pub mod decision;
 pub mod gate;
 pub mod input;
+pub mod joints;
 pub mod law;
 pub mod presence;
 pub mod robot;

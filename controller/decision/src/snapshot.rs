@@ -10,7 +10,7 @@ use messages::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 16;
+pub const VERSION: u32 = 17;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;
@@ -68,6 +68,7 @@ mod tests {
     use crate::decision::Decision;
     use crate::gate::Gate;
     use crate::input::Input;
+    use crate::joints::JointWatch;
     use crate::robot::RobotWatch;
     use crate::rules::Rules;
     use crate::supervisor::{Situation, Supervisor};
@@ -77,6 +78,12 @@ mod tests {
         published_ns: u64::MAX,
         data_ns: u64::MAX,
     };
+
+    fn panda() -> scene::Arm {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../ipc/scene/scenes/s.toml");
+        let text = format!("arm = 'panda.toml'\n{}", scene::PAPER_ROBOT);
+        scene::Scene::parse(&text, path).unwrap().arm.unwrap()
+    }
 
     /// A state with the numbers that take most room, and those that are lost most easily.
     fn extreme() -> State {
@@ -129,6 +136,14 @@ mod tests {
         let mut state = messages::RobotState::free_camera([0.0; 3], [0.0; 3], 0);
         state.stamp = STAMP;
         robot.look(&Input::Message(state), u64::MAX);
+        let mut joints = JointWatch::new(&rules);
+        (state.joints, state.q) = (7, [f64::MIN_POSITIVE / 4.0; 7]);
+        state.mode = messages::RobotMode::Moving.code();
+        for q in [0.0, 1.0] {
+            state.stamp.data_ns = u64::MAX;
+            state.q[0] = q;
+            joints.look(&arm::Arm::from(&panda()), &state, u64::MAX);
+        }
         let mut law = vpc::State::new(vpc::Strategy::Knn { k: usize::MAX });
         law.history.from_ns.as_flattened_mut().fill(u64::MAX);
         law.history.twists.as_flattened_mut().fill(decision.twist);
@@ -140,6 +155,7 @@ mod tests {
         State {
             gate,
             robot,
+            joints,
             law,
             supervisor,
             standing: Answer {
@@ -171,6 +187,7 @@ mod tests {
         assert_eq!(bits(&back), bits(&state));
         // What is not NaN compares by value as well.
         assert_eq!((back.gate, back.robot), (state.gate, state.robot));
+        assert_eq!(back.joints, state.joints);
     }
 
     #[test]

@@ -6,15 +6,17 @@
 //! gravest of all that are present, and each hold has one response:
 //!
 //! - *Zero at once, disarm*: operator's stop, robot fault, clock anomaly, a standstill of the loop.
-//! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, overruns, bad
-//!   twist, solver failure, frozen image, an image that does not follow, features lost.
+//! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, joints not
+//!   following, overruns, bad twist, solver failure, frozen image, an image that does not follow,
+//!   features lost.
 //! - *Brake, go on with the next good features*: no robot yet; features stale, invalid, hidden,
 //!   miscounted, not finite, off the image, mixed up, elsewhere, out of order; transport; no way
 //!   known; a solver that failed once or twice.
 //! - *Brake, and stand or disarm*: it has arrived, and is not to follow.
 //!
 //! Each list begins with its gravest hold. A start that begins armed disarms if camera and robot
-//! do not come within 5 s. Features are *lost* if the law could use none for [`Rules::lost_ns`].
+//! do not come within 5 s. Features are *lost* if the law could use none for [`Rules::lost_ns`]; where
+//! that is for want of the arm's joints, it disarms for them.
 //! After a response the law's twist is taken up again as steeply as it is braked, and no more so.
 
 use messages::{Action, Hold, Outcome, TwistState};
@@ -47,7 +49,8 @@ pub struct Situation {
     pub solver_failed: Option<bool>,
     /// Releases missed just before this cycle.
     pub missed: u32,
-    /// What is wrong with the robot, as [`RobotWatch::look`](crate::robot::RobotWatch::look) says.
+    /// What is wrong with the robot, as [`RobotWatch::look`](crate::robot::RobotWatch::look) or
+    /// [`JointWatch::hold`](crate::joints::JointWatch::hold) says.
     pub robot: Option<Hold>,
     /// Whether the machine was suspended just before this cycle.
     pub suspended: bool,
@@ -210,12 +213,13 @@ impl Supervisor {
         };
         self.count(situation);
         let hold = self.gravest(situation, now_ns, elapsed_ns);
-        let has_waited = self.has_waited(hold, now_ns);
+        // Features that the law cannot use for want of the arm's joints are lost for that cause.
+        let is_over = self.has_waited(hold, now_ns) || self.is_lost(situation, now_ns);
         if let Some(hold) = hold {
             match self.response(hold) {
                 Response::Stop => self.mode = Mode::Disarmed(hold),
                 Response::Disarm => self.disarm(hold),
-                Response::Wait if has_waited => self.disarm(hold),
+                Response::Wait if is_over => self.disarm(hold),
                 Response::Wait => (),
             }
         }
@@ -284,6 +288,7 @@ impl Supervisor {
             Some(Hold::NoRobot) => return Outcome::NoRobot,
             Some(Hold::RobotLost) => return Outcome::RobotLost,
             Some(Hold::NotFollowed) => return Outcome::NotFollowed,
+            Some(Hold::JointsNotFollowing) => return Outcome::JointsNotFollowing,
             Some(_) => return Outcome::RobotFault,
         }
         // Where no way is known, or no twist is wanted, it may be armed, and waits.
@@ -324,13 +329,15 @@ impl Supervisor {
         }
     }
 
+    /// Whether the law could use no features for too long.
+    fn is_lost(&self, situation: &Situation, now_ns: u64) -> bool {
+        let since = situation.good_ns.zip(self.rules.lost_ns);
+        since.is_some_and(|(since, limit)| now_ns.saturating_sub(since) > limit)
+    }
+
     /// The gravest hold on the law's twist.
     fn gravest(&self, situation: &Situation, now_ns: u64, elapsed_ns: u64) -> Option<Hold> {
         let decided = situation.decision.hold;
-        let beyond = |since: u64| {
-            let limit = self.rules.lost_ns;
-            limit.is_some_and(|limit| now_ns.saturating_sub(since) > limit)
-        };
         let stood_still = self.rules.lost_ns.is_some_and(|limit| elapsed_ns > limit);
         let is_robot = |hold| situation.robot == Some(hold);
         let is_decided = |hold| decided == Some(hold);
@@ -345,12 +352,16 @@ impl Supervisor {
             (situation.shutdown, Hold::Shutdown),
             (is_robot(Hold::RobotLost), Hold::RobotLost),
             (is_robot(Hold::NotFollowed), Hold::NotFollowed),
+            (is_robot(Hold::JointsNotFollowing), Hold::JointsNotFollowing),
             (self.overruns >= OVERRUN * IN_A_ROW, Hold::Overruns),
             (is_decided(Hold::BadTwist), Hold::BadTwist),
             (self.failures >= IN_A_ROW, Hold::Solver),
             (is_decided(Hold::Frozen), Hold::Frozen),
             (is_decided(Hold::NotFollowing), Hold::NotFollowing),
-            (situation.good_ns.is_some_and(beyond), Hold::Lost),
+            (
+                self.is_lost(situation, now_ns) && !is_decided(Hold::NoJoints),
+                Hold::Lost,
+            ),
             (is_robot(Hold::NoRobot), Hold::NoRobot),
             (self.has_arrived, Hold::Arrived),
         ]
@@ -451,6 +462,7 @@ fn response(hold: Hold) -> Response {
         | Hold::Unclean
         | Hold::RobotLost
         | Hold::NotFollowed
+        | Hold::JointsNotFollowing
         | Hold::Overruns
         | Hold::BadTwist
         | Hold::Solver

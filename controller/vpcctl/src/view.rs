@@ -225,6 +225,12 @@ impl View {
         })
     }
 
+    /// What is wrong with the joints that the robot told last, in words.
+    pub fn joint_fault(&self) -> Option<String> {
+        let names = self.arm.as_ref().map_or(&[][..], |arm| &arm.joint_names);
+        Some(self.latest()?.joint_fault()?.words(names).to_string())
+    }
+
     /// How long ago the camera sent the newest features, ns, where that is too long.
     pub fn camera_silence_ns(&self, now_ns: u64) -> Option<u64> {
         let sent = self.features.map(|features| features.stamp.published_ns);
@@ -244,11 +250,18 @@ impl View {
                 .camera_silence_ns(now_ns)
                 .map(|age| format!("camera silent for {}", duration(age))),
             Hold::NoWay => self.bound().map(|bound| format!("{hold}: {bound}")),
-            Hold::NoJoints => self.arm.as_ref().map(|arm| {
-                let told = self.robot_at(now_ns).map_or(0, |robot| robot.joints);
-                let joints = arm.joints.len();
-                format!("{hold}: the robot tells {told}, the scene's arm has {joints}")
-            }),
+            Hold::NoJoints | Hold::JointsNotFollowing => {
+                let number = || {
+                    let arm = self.arm.as_ref().filter(|_| hold == Hold::NoJoints);
+                    let joints = arm?.joints.len();
+                    let told = self.robot_at(now_ns).map_or(0, |robot| robot.joints);
+                    Some(format!(
+                        "the robot tells {told}, the scene's arm has {joints}"
+                    ))
+                };
+                let fault = self.joint_fault().or_else(number);
+                fault.map(|fault| format!("{hold}: {fault}"))
+            }
             _ => None,
         };
         Some(words.unwrap_or_else(|| hold.to_string()))
@@ -420,6 +433,15 @@ pub(crate) mod tests {
         assert_eq!(words(&view), told);
         view.robot = None;
         assert_eq!(words(&view), told.replace('6', "0"));
+        let mut refused = record(2, TwistState::Holding, Hold::NoJoints);
+        refused.joint_fault = messages::JointFaultCode::Range.code();
+        (refused.joint_fault_index, refused.joint_fault_found) = (6, 5.0);
+        refused.joint_fault_allowed = [-2.947, 2.947];
+        let view = crate::joints::tests::with_arm(fed(&[refused]), 0);
+        assert_eq!(
+            words(&view),
+            "joints unknown: panda_joint7 is told at 5.000; allowed: -2.947 to 2.947"
+        );
     }
 
     #[test]

@@ -152,10 +152,14 @@ codes! {
         Elsewhere = 29 => "features elsewhere",
         /// It has arrived, and stands since then, as `safety.after_arrival` wants it.
         Arrived = 30 => "arrived",
-        /// The scene names an arm, and no positions of as many joints came for 0.5 s.
+        /// The scene names an arm, and no positions of as many joints came for 0.5 s, or those that
+        /// came were refused: see `joint_fault`.
         NoJoints = 31 => "joints unknown",
         /// The strategy is `follow`, and no program wants a twist.
         Unwanted = 32 => "no twist is wanted",
+        /// The arm's joints do not move as the robot says that its camera moves, or leap: see
+        /// `joint_fault`.
+        JointsNotFollowing = 33 => "joints do not follow",
     }
 }
 
@@ -253,6 +257,105 @@ impl fmt::Display for Bound<'_> {
             (ArmBound::Link, _) => write!(f, "near {name}"),
             (ArmBound::Box, "") => write!(f, "near box {number}"),
             (ArmBound::Box, _) => write!(f, "near box {number} ({name})"),
+        }
+    }
+}
+
+codes! {
+    /// What is wrong with the joints that the robot tells.
+    JointFaultCode {
+        none = 0 => "none" " Nothing, or the arm is not known.",
+        /// Their instant is later than now.
+        Future = 1 => "future",
+        /// A position is outside the joint's range.
+        Range = 2 => "range",
+        /// A joint moved faster than it can since the message before.
+        Leap = 3 => "leap",
+        /// The camera's translation by the joints is not that by the reported twist.
+        Translation = 4 => "translation",
+        /// The camera's rotation by the joints is not that by the reported twist.
+        Rotation = 5 => "rotation",
+    }
+}
+
+/// What is wrong with the joints that the robot tells: what, its value, and what is allowed.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct JointFault {
+    /// What it is.
+    pub code: JointFaultCode,
+    /// Index of the joint, base to flange, from 0; 0 where the fault is of none.
+    pub joint: u32,
+    /// The joint's position or change, rad or m; how far the stamp is ahead, s; or the difference of
+    /// both motions of the camera, m or rad.
+    pub found: f64,
+    /// The least and the greatest value allowed.
+    pub allowed: [f64; 2],
+}
+
+impl JointFault {
+    /// In words for people, with the joint's name from those of all, base to flange; by its number
+    /// from 1 where that is not known.
+    pub fn words<T: AsRef<str>>(self, joints: &[T]) -> impl fmt::Display {
+        let name = joints.get(self.joint as usize).map_or("", AsRef::as_ref);
+        JointWords { fault: self, name }
+    }
+}
+
+/// A fault of joints in words.
+struct JointWords<'a> {
+    fault: JointFault,
+    name: &'a str,
+}
+
+/// A number in few digits.
+struct Short(f64);
+
+impl fmt::Display for Short {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0.abs() < 1e4 {
+            true => write!(f, "{:.3}", self.0),
+            false => write!(f, "{:.1e}", self.0),
+        }
+    }
+}
+
+impl fmt::Display for JointWords<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let JointFault {
+            code,
+            joint,
+            found,
+            allowed,
+        } = self.fault;
+        let is_joint = matches!(code, JointFaultCode::Range | JointFaultCode::Leap);
+        match self.name {
+            _ if !is_joint => (),
+            "" => write!(f, "joint {}", joint + 1)?,
+            name => f.write_str(name)?,
+        }
+        let (found, [least, most]) = (Short(found), allowed.map(Short));
+        match code {
+            JointFaultCode::Future => {
+                write!(
+                    f,
+                    "their stamp is {found} s later than now; allowed: {most} s"
+                )
+            }
+            JointFaultCode::Range => write!(f, " is told at {found}; allowed: {least} to {most}"),
+            JointFaultCode::Leap => {
+                write!(
+                    f,
+                    " leaps by {found} from one message to the next; allowed: {least} to {most}"
+                )
+            }
+            JointFaultCode::Translation => write!(
+                f,
+                "the camera's way by them and by the reported twist are {found} m apart; allowed: {most} m"
+            ),
+            JointFaultCode::Rotation => write!(
+                f,
+                "the camera's turn by them and by the reported twist are {found} rad apart; allowed: {most} rad"
+            ),
         }
     }
 }
@@ -494,6 +597,15 @@ message! {
         arm_bound_index: u32,
         /// Velocity of the arm's elbow that was sent.
         elbow: f64 ["rad/s" finite],
+        /// What is wrong with the joints that the robot told last.
+        joint_fault: u32 [code(JointFaultCode)],
+        /// Index of the joint that it is of, base to flange, from 0.
+        joint_fault_index: u32,
+        /// The position of that joint or its change, rad or m; how far the stamp is ahead, s; or the
+        /// difference of the camera's motions by the joints and by the reported twist, m or rad.
+        joint_fault_found: f64,
+        /// The least and the greatest value allowed.
+        joint_fault_allowed: [f64; 2],
     }
     // A buffer for recorders: half a minute at 30 Hz, a good part of a second in lockstep.
     "vpc/cycles" from "controller": Qos { history: 0, buffer: 1024, subscribers: 8, publishers: 1 }
@@ -513,6 +625,16 @@ impl CycleRecord {
             name: "",
             link: (self.arm_bound_index as usize / INDICES).checked_sub(1),
             link_name: "",
+        })
+    }
+
+    /// What is wrong with the joints that the robot told last.
+    pub fn joint_fault(&self) -> Option<JointFault> {
+        Some(JointFault {
+            code: JointFaultCode::from_code(self.joint_fault)?,
+            joint: self.joint_fault_index,
+            found: self.joint_fault_found,
+            allowed: self.joint_fault_allowed,
         })
     }
 
@@ -640,6 +762,44 @@ mod tests {
         assert_eq!(
             of_box,
             ["link shape 2 is near box 1", "hand is near box 1 (bin)"]
+        );
+    }
+
+    #[test]
+    fn a_fault_of_joints_is_told_with_its_joint_its_value_and_what_is_allowed() {
+        let mut record = CycleRecord::default();
+        assert_eq!(record.joint_fault(), None);
+        record.joint_fault_index = 1;
+        let mut told = |code: JointFaultCode, found| {
+            (record.joint_fault, record.joint_fault_found) = (code.code(), found);
+            record.joint_fault_allowed = [-2.947, 2.947];
+            let fault = record.joint_fault().unwrap();
+            [
+                fault.words(&["a", "elbow"]).to_string(),
+                fault.words(&["a"]).to_string(),
+            ]
+        };
+        assert_eq!(
+            told(JointFaultCode::Range, 5.0),
+            [
+                "elbow is told at 5.000; allowed: -2.947 to 2.947",
+                "joint 2 is told at 5.000; allowed: -2.947 to 2.947"
+            ]
+        );
+        let [huge, _] = told(JointFaultCode::Range, 1e300);
+        assert_eq!(huge, "elbow is told at 1.0e300; allowed: -2.947 to 2.947");
+        let [leap, _] = told(JointFaultCode::Leap, -6.283);
+        assert!(leap.starts_with("elbow leaps by -6.283 from"), "{leap}");
+        let [future, same] = told(JointFaultCode::Future, 1e9);
+        assert_eq!(future, same);
+        assert!(
+            future.starts_with("their stamp is 1.0e9 s later"),
+            "{future}"
+        );
+        let [turn, _] = told(JointFaultCode::Rotation, 0.4);
+        assert!(
+            turn.ends_with("0.400 rad apart; allowed: 2.947 rad"),
+            "{turn}"
         );
     }
 

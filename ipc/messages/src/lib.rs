@@ -39,7 +39,8 @@ mod twist;
 pub use codes::{Name, Table};
 pub use cycle::{
     ArmBound, Bound, ClockMode, CycleFlags, CycleRecord, ForesightCode, Hold, InputCode,
-    MAX_NEIGHBOURS, PATH_PLACES, PhaseCode, RealTime, RecallCode, SolverStatus, StrategyCode,
+    JointFault, JointFaultCode, MAX_NEIGHBOURS, PATH_PLACES, PhaseCode, RealTime, RecallCode,
+    SolverStatus, StrategyCode,
 };
 pub use desired::{DesiredTwist, MOST_WANTED_NS};
 pub use features::{Features, MAX_POINTS};

@@ -61,8 +61,11 @@ codes! {
         /// Refused: an operator has stopped or disarmed it since it was last armed, and the request
         /// does not name the newest veto.
         Vetoed = 13 => "refused: an operator has stopped or disarmed it since it was last armed",
-        /// Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
+        /// Refused: the scene names an arm, and no positions of as many joints came for 0.5 s, or
+        /// those that came were refused.
         NoJoints = 14 => "refused: the arm's joints are unknown",
+        /// Refused: the arm's joints do not move as the robot says that its camera moves.
+        JointsNotFollowing = 15 => "refused: the arm's joints do not follow",
     }
 }
 

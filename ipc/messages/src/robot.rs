@@ -58,7 +58,8 @@ message! {
         joints: u32 [range(0, JOINTS)],
         /// Zero.
         reserved: u32,
-        /// Joint positions, base to flange.
+        /// Joint positions, base to flange; of a joint that turns without end, whole turns do not
+        /// count.
         q: [f64; JOINTS] ["rad" finite],
         /// Joint velocities, base to flange.
         dq: [f64; JOINTS] ["rad/s" finite],

@@ -651,3 +651,134 @@ fn a_change_between_a_guard_and_a_goal_disarms() {
         assert_eq!(arm(&mut control, reply.veto), Some(Outcome::Done));
     }
 }
+
+/// What a robot does that is wanted to roll its camera on and on, the joint at the hand nearing the
+/// end of its range.
+struct Rolled {
+    /// Where joint 7 of the Panda ends, rad.
+    ends_at: f64,
+    record: CycleRecord,
+}
+
+/// Rolls for `seconds`; after half a second `lie` changes what the robot tells.
+fn rolled(seconds: f64, lie: impl Fn(&mut RobotState, &[arm::Joints])) -> Rolled {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../ipc/scene/scenes/s.toml");
+    let text = format!("arm = 'panda.toml'\n{}", scene::PAPER_ROBOT);
+    let mut scene = Scene::parse(&text, path).unwrap();
+    scene.occlusions.clear();
+    (scene.limits.linear, scene.limits.angular) = (0.1, 0.4);
+    let settings = Settings {
+        strategy: Strategy::Follow,
+        ..Settings::default()
+    };
+    let rules = Rules {
+        valid_ns: Some(3 * PERIOD),
+        limits: scene.limits.velocity(),
+        needs_robot: true,
+        ..rules()
+    };
+    let mut control = ControlStep::new(&scene, settings, None, rules).unwrap();
+    let known = control.law.task().arm.clone().unwrap();
+    let mut q = arm::Joints::from(arm::READY);
+    let object = known.chain.pose(&q) * arm::Pose::translation(0.0, 0.0, 0.4);
+    let (mut twist, mut past) = ([0.0; 6], Vec::new());
+    let mut record = CycleRecord::default();
+    let begin_ns = 1 << 40;
+    let last = (seconds * 1e9) as u64 / PERIOD;
+    for k in 1..=last {
+        let now_ns = begin_ns + k * PERIOD;
+        q = known.moved(&q, &twist, 0.0, PERIOD as f64 * 1e-9);
+        past.push(q);
+        let seen = known.chain.pose(&q).inverse() * object;
+        let points = scene.pattern.iter().map(|[x, y, z]| {
+            let at = (seen * arm::Pose::translation(*x, *y, *z)).translation;
+            let camera = &scene.camera;
+            let [a, b] = [at.x / at.z, at.y / at.z];
+            // As noisy as a camera: a frozen image is another matter.
+            let noise = 0.02 * ((7 * k) % 11) as f64;
+            [camera.fx * a + camera.cx + noise, camera.fy * b + camera.cy]
+        });
+        let mut features = Features::new(&points.collect::<Vec<_>>(), now_ns);
+        (features.stamp.sequence, features.stamp.published_ns) = (k, now_ns);
+        let mut robot = RobotState::free_camera([0.0; 3], [0.0; 3], now_ns);
+        (robot.stamp.sequence, robot.stamp.published_ns) = (k, now_ns);
+        (robot.mode, robot.joints) = (messages::RobotMode::Moving.code(), 7);
+        (robot.q, robot.twist) = (q.into(), twist);
+        if k * PERIOD > 500 * MS {
+            lie(&mut robot, &past);
+        }
+        let mut wanted = DesiredTwist::until([0.0, 0.0, 0.0, 0.0, 0.0, 0.4], now_ns + PERIOD);
+        wanted.stamp.published_ns = now_ns;
+        let inputs = Inputs {
+            now_ns,
+            features: Input::Message(features),
+            robot: Input::Message(robot),
+            desired: Input::Message(wanted),
+            missed: 0,
+            suspended: false,
+            shutdown: false,
+        };
+        record = CycleRecord::default();
+        twist = control.decide(&inputs, &mut record).decision.twist;
+    }
+    Rolled {
+        ends_at: q[6],
+        record,
+    }
+}
+
+#[test]
+fn no_joint_leaves_its_range_however_the_robot_lies_of_its_joints() {
+    const END: f64 = 2.8973;
+    let is_held = |rolled: &Rolled, hold: Option<Hold>| {
+        assert_eq!(rolled.record.hold(), hold, "{}", rolled.ends_at);
+        assert!(rolled.ends_at < END, "{hold:?}: {}", rolled.ends_at);
+    };
+    let honest = rolled(9.0, |_, _| ());
+    is_held(&honest, None);
+    assert!(
+        (honest.ends_at - (END - 0.2)).abs() < 0.01,
+        "{}",
+        honest.ends_at
+    );
+    let follows = Some(Hold::JointsNotFollowing);
+    let when = (500 * MS / PERIOD) as usize;
+    let frozen = rolled(9.0, |robot, past| robot.q = past[when].into());
+    is_held(&frozen, follows);
+    // Half a second, not ten.
+    assert!(frozen.ends_at < 1.4, "{}", frozen.ends_at);
+    let fault = frozen.record.joint_fault().unwrap();
+    assert_eq!(fault.code, messages::JointFaultCode::Rotation);
+    let late = |seconds: f64| {
+        rolled(9.0, move |robot, past| {
+            let ago = (seconds * 1e9) as usize / PERIOD as usize;
+            robot.q = past[past.len().saturating_sub(1 + ago)].into();
+        })
+    };
+    is_held(&late(0.6), follows);
+    is_held(&late(0.2), None);
+    is_held(
+        &rolled(9.0, |robot, past| {
+            if past.len() % 2 == 0 {
+                robot.q[6] = -2.0;
+            }
+        }),
+        follows,
+    );
+    let unknown = Some(Hold::NoJoints);
+    for lie in [
+        |robot: &mut RobotState| robot.stamp.data_ns += 1 << 60,
+        |robot: &mut RobotState| robot.q[6] = 5.0,
+        |robot: &mut RobotState| robot.q[6] = 1e300,
+        |robot: &mut RobotState| robot.q[6] -= std::f64::consts::TAU,
+        |robot: &mut RobotState| robot.q = robot.q.map(f64::to_degrees),
+        |robot: &mut RobotState| robot.q = [0.0; 7],
+        |robot: &mut RobotState| robot.q.reverse(),
+        |robot: &mut RobotState| robot.joints = 6,
+        |robot: &mut RobotState| robot.joints = 0,
+    ] {
+        let held = rolled(3.0, |robot, _| lie(robot));
+        is_held(&held, unknown);
+        assert!(held.ends_at < 1.2, "{}", held.ends_at);
+    }
+}

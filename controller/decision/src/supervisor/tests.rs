@@ -688,19 +688,29 @@ fn no_command_of_a_jumping_law_changes_too_much() {
 
 #[test]
 fn a_robot_that_does_not_follow_disarms() {
+    for (hold, refusal) in [
+        (Hold::NotFollowed, Outcome::NotFollowed),
+        (Hold::JointsNotFollowing, Outcome::JointsNotFollowing),
+    ] {
+        disarms_for(hold, refusal);
+    }
+}
+
+/// Brakes and disarms for what is wrong with the robot, and stays so while it is.
+fn disarms_for(hold: Hold, refusal: Outcome) {
     let mut bench = Bench::new(true);
     bench.situation.robot = Some(Hold::NoRobot);
     let waits = Decision::still(Hold::NoRobot, TwistState::Holding);
     assert_eq!((bench.good(), bench.good()), (waits, waits));
     bench.situation.robot = None;
     bench.resumes();
-    bench.situation.robot = Some(Hold::NotFollowed);
+    bench.situation.robot = Some(hold);
     assert_eq!(bench.good().state, TwistState::Braking);
     while bench.good().state == TwistState::Braking {}
-    let disarmed = Decision::still(Hold::NotFollowed, TwistState::Disarmed);
+    let disarmed = Decision::still(hold, TwistState::Disarmed);
     assert_eq!(bench.good(), disarmed);
     for (hold, refusal) in [
-        (Hold::NotFollowed, Outcome::NotFollowed),
+        (hold, refusal),
         (Hold::NoRobot, Outcome::NoRobot),
         (Hold::RobotLost, Outcome::RobotLost),
         (Hold::RobotFault, Outcome::RobotFault),
@@ -746,4 +756,9 @@ fn without_the_joints_of_the_arm_it_cannot_be_armed() {
     assert_eq!(bench.ask(Action::Arm), Outcome::NoJoints);
     bench.good();
     assert_eq!(bench.ask(Action::Arm), Outcome::Done);
+    bench.resumes();
+    // It disarms for them when they stay away.
+    while bench.bad(Hold::NoJoints).state != TwistState::Disarmed {}
+    let disarmed = Decision::still(Hold::NoJoints, TwistState::Disarmed);
+    assert_eq!(bench.good(), disarmed);
 }

@@ -1,6 +1,6 @@
 //! The arm file of the scene against the robot that is there.
 
-use arm::{Joints, Twist};
+use arm::Joints;
 use messages::RobotState;
 use nalgebra::Vector3;
 use scene::Arm;
@@ -60,10 +60,8 @@ pub(super) fn examine(view: &View, now_ns: u64) -> Vec<Finding> {
 /// The camera's velocity as the robot tells it, against that of its joints by the arm file.
 fn velocity(arm: &Arm, robot: &RobotState) -> Option<Finding> {
     let (q, dq) = (Joints::from(robot.q), Joints::from(robot.dq));
-    let (camera, jacobian) = arm::Arm::from(arm).chain.at(&q);
-    let along_base: Twist = jacobian * dq;
-    let by_joints = camera.rotation.inverse() * along_base.fixed_rows::<3>(0);
-    let told = Vector3::new(robot.twist[0], robot.twist[1], robot.twist[2]);
+    let by_joints = arm::Arm::from(arm).camera_twist(&q, &dq);
+    let [told, by_joints] = [robot.twist, by_joints].map(|[x, y, z, ..]| Vector3::new(x, y, z));
     let most = told.norm().max(by_joints.norm());
     let apart = (told - by_joints).norm();
     if most < MOVES || apart < APART * most {

@@ -227,7 +227,10 @@ fn remedy(hold: Hold) -> &'static str {
             "start the robot's client; `safety.robot = \"optional\"` where the robot tells nothing"
         }
         Hold::NoJoints => {
-            "the robot must tell the positions of all joints of the arm that the scene names; `vpcctl doctor --scene FILE` compares them"
+            "the robot must tell the positions of all joints of the arm that the scene names, in its ranges; `vpcctl doctor --scene FILE` compares them"
+        }
+        Hold::JointsNotFollowing => {
+            "the robot's client tells joints of another arm or in another order, old or frozen ones, or another twist than it carries out; or the arm file's camera is mounted otherwise; mend it, then `vpcctl arm`"
         }
         Hold::NotFollowed => {
             "see why the robot does not move as commanded (its mode, its limits, the frames of its client), then `vpcctl arm`"

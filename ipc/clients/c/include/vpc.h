@@ -185,10 +185,14 @@ enum vpc_hold {
     VPC_HOLD_ELSEWHERE = 29,
     // It has arrived, and stands since then, as `safety.after_arrival` wants it.
     VPC_HOLD_ARRIVED = 30,
-    // The scene names an arm, and no positions of as many joints came for 0.5 s.
+    // The scene names an arm, and no positions of as many joints came for 0.5 s, or those that came
+    // were refused: see `joint_fault`.
     VPC_HOLD_NO_JOINTS = 31,
     // The strategy is `follow`, and no program wants a twist.
     VPC_HOLD_UNWANTED = 32,
+    // The arm's joints do not move as the robot says that its camera moves, or leap: see
+    // `joint_fault`.
+    VPC_HOLD_JOINTS_NOT_FOLLOWING = 33,
 };
 
 // What foresight follows.
@@ -251,6 +255,22 @@ enum vpc_arm_bound {
     VPC_ARM_BOUND_BOX = 6,
 };
 
+// What is wrong with the joints that the robot tells.
+enum vpc_joint_fault_code {
+    // Nothing, or the arm is not known.
+    VPC_JOINT_FAULT_CODE_NONE = 0,
+    // Their instant is later than now.
+    VPC_JOINT_FAULT_CODE_FUTURE = 1,
+    // A position is outside the joint's range.
+    VPC_JOINT_FAULT_CODE_RANGE = 2,
+    // A joint moved faster than it can since the message before.
+    VPC_JOINT_FAULT_CODE_LEAP = 3,
+    // The camera's translation by the joints is not that by the reported twist.
+    VPC_JOINT_FAULT_CODE_TRANSLATION = 4,
+    // The camera's rotation by the joints is not that by the reported twist.
+    VPC_JOINT_FAULT_CODE_ROTATION = 5,
+};
+
 // What an operator asks for.
 enum vpc_action {
     // Nothing but the answer, which has the state.
@@ -301,8 +321,11 @@ enum vpc_outcome {
     // Refused: an operator has stopped or disarmed it since it was last armed, and the request does
     // not name the newest veto.
     VPC_OUTCOME_VETOED = 13,
-    // Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
+    // Refused: the scene names an arm, and no positions of as many joints came for 0.5 s, or those
+    // that came were refused.
     VPC_OUTCOME_NO_JOINTS = 14,
+    // Refused: the arm's joints do not move as the robot says that its camera moves.
+    VPC_OUTCOME_JOINTS_NOT_FOLLOWING = 15,
 };
 
 // How a pixel is stored.
@@ -423,7 +446,8 @@ typedef struct {
     uint32_t joints;
     // Zero.
     uint32_t reserved;
-    // Joint positions, base to flange. Unit: rad.
+    // Joint positions, base to flange; of a joint that turns without end, whole turns do not count.
+    // Unit: rad.
     double q[7];
     // Joint velocities, base to flange. Unit: rad/s.
     double dq[7];
@@ -582,6 +606,15 @@ typedef struct {
     uint32_t arm_bound_index;
     // Velocity of the arm's elbow that was sent. Unit: rad/s.
     double elbow;
+    // What is wrong with the joints that the robot told last. Code: vpc_joint_fault_code.
+    uint32_t joint_fault;
+    // Index of the joint that it is of, base to flange, from 0.
+    uint32_t joint_fault_index;
+    // The position of that joint or its change, rad or m; how far the stamp is ahead, s; or the
+    // difference of the camera's motions by the joints and by the reported twist, m or rad.
+    double joint_fault_found;
+    // The least and the greatest value allowed.
+    double joint_fault_allowed[2];
 } vpc_cycle_record;
 
 // All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
@@ -984,7 +1017,7 @@ static_assert(sizeof(vpc_desired_twist) == 80, "vpc_desired_twist");
 static_assert(offsetof(vpc_desired_twist, stamp) == 0, "vpc_desired_twist.stamp");
 static_assert(offsetof(vpc_desired_twist, valid_until_ns) == 24, "vpc_desired_twist.valid_until_ns");
 static_assert(offsetof(vpc_desired_twist, twist) == 32, "vpc_desired_twist.twist");
-static_assert(sizeof(vpc_cycle_record) == 1992, "vpc_cycle_record");
+static_assert(sizeof(vpc_cycle_record) == 2024, "vpc_cycle_record");
 static_assert(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
 static_assert(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");
 static_assert(offsetof(vpc_cycle_record, clock) == 32, "vpc_cycle_record.clock");
@@ -1049,6 +1082,10 @@ static_assert(offsetof(vpc_cycle_record, predicted) == 1972, "vpc_cycle_record.p
 static_assert(offsetof(vpc_cycle_record, arm_bound) == 1976, "vpc_cycle_record.arm_bound");
 static_assert(offsetof(vpc_cycle_record, arm_bound_index) == 1980, "vpc_cycle_record.arm_bound_index");
 static_assert(offsetof(vpc_cycle_record, elbow) == 1984, "vpc_cycle_record.elbow");
+static_assert(offsetof(vpc_cycle_record, joint_fault) == 1992, "vpc_cycle_record.joint_fault");
+static_assert(offsetof(vpc_cycle_record, joint_fault_index) == 1996, "vpc_cycle_record.joint_fault_index");
+static_assert(offsetof(vpc_cycle_record, joint_fault_found) == 2000, "vpc_cycle_record.joint_fault_found");
+static_assert(offsetof(vpc_cycle_record, joint_fault_allowed) == 2008, "vpc_cycle_record.joint_fault_allowed");
 static_assert(sizeof(vpc_snapshot) == 49192, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");

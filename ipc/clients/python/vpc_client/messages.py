@@ -171,10 +171,14 @@ class Hold(Code):
     ELSEWHERE = 29, "features elsewhere"
     # It has arrived, and stands since then, as `safety.after_arrival` wants it.
     ARRIVED = 30, "arrived"
-    # The scene names an arm, and no positions of as many joints came for 0.5 s.
+    # The scene names an arm, and no positions of as many joints came for 0.5 s, or those that came
+    # were refused: see `joint_fault`.
     NO_JOINTS = 31, "joints unknown"
     # The strategy is `follow`, and no program wants a twist.
     UNWANTED = 32, "no twist is wanted"
+    # The arm's joints do not move as the robot says that its camera moves, or leap: see
+    # `joint_fault`.
+    JOINTS_NOT_FOLLOWING = 33, "joints do not follow"
 
 
 class ForesightCode(Code):
@@ -241,6 +245,23 @@ class ArmBound(Code):
     BOX = 6, "box"
 
 
+class JointFaultCode(Code):
+    """What is wrong with the joints that the robot tells."""
+
+    # Nothing, or the arm is not known.
+    NONE = 0, "none"
+    # Their instant is later than now.
+    FUTURE = 1, "future"
+    # A position is outside the joint's range.
+    RANGE = 2, "range"
+    # A joint moved faster than it can since the message before.
+    LEAP = 3, "leap"
+    # The camera's translation by the joints is not that by the reported twist.
+    TRANSLATION = 4, "translation"
+    # The camera's rotation by the joints is not that by the reported twist.
+    ROTATION = 5, "rotation"
+
+
 class Action(Code):
     """What an operator asks for."""
 
@@ -293,8 +314,11 @@ class Outcome(Code):
     # Refused: an operator has stopped or disarmed it since it was last armed, and the request does
     # not name the newest veto.
     VETOED = 13, "refused: an operator has stopped or disarmed it since it was last armed"
-    # Refused: the scene names an arm, and no positions of as many joints came for 0.5 s.
+    # Refused: the scene names an arm, and no positions of as many joints came for 0.5 s, or those
+    # that came were refused.
     NO_JOINTS = 14, "refused: the arm's joints are unknown"
+    # Refused: the arm's joints do not move as the robot says that its camera moves.
+    JOINTS_NOT_FOLLOWING = 15, "refused: the arm's joints do not follow"
 
 
 class Encoding(Code):
@@ -464,7 +488,8 @@ class RobotState(Message):
         ("joints", ctypes.c_uint32),
         # Zero.
         ("reserved", ctypes.c_uint32),
-        # Joint positions, base to flange. Unit: rad.
+        # Joint positions, base to flange; of a joint that turns without end, whole turns do not
+        # count. Unit: rad.
         ("q", ctypes.c_double * 7),
         # Joint velocities, base to flange. Unit: rad/s.
         ("dq", ctypes.c_double * 7),
@@ -658,6 +683,15 @@ class CycleRecord(Message):
         ("arm_bound_index", ctypes.c_uint32),
         # Velocity of the arm's elbow that was sent. Unit: rad/s.
         ("elbow", ctypes.c_double),
+        # What is wrong with the joints that the robot told last. Code: `JointFaultCode`.
+        ("joint_fault", ctypes.c_uint32),
+        # Index of the joint that it is of, base to flange, from 0.
+        ("joint_fault_index", ctypes.c_uint32),
+        # The position of that joint or its change, rad or m; how far the stamp is ahead, s; or the
+        # difference of the camera's motions by the joints and by the reported twist, m or rad.
+        ("joint_fault_found", ctypes.c_double),
+        # The least and the greatest value allowed.
+        ("joint_fault_allowed", ctypes.c_double * 2),
     ]
 
     if TYPE_CHECKING:
@@ -725,10 +759,14 @@ class CycleRecord(Message):
         arm_bound: int
         arm_bound_index: int
         elbow: float
+        joint_fault: int
+        joint_fault_index: int
+        joint_fault_found: float
+        joint_fault_allowed: ctypes.Array[ctypes.c_double]
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/3a64154d"
+        return "vpc/CycleRecord/e0a9c65b"
 
 
 class Snapshot(Message):
@@ -928,6 +966,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "desired": "",
         "arm_bound": ArmBound,
         "elbow": "",
+        "joint_fault": JointFaultCode,
     },
     Snapshot: {
         "length": (0, 49152),
