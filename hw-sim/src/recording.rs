@@ -118,7 +118,7 @@ impl Recorder {
 /// # Errors
 /// The file cannot be read, or a line is not a record.
 pub fn read(path: &Path) -> io::Result<(Head, Vec<Record>)> {
-    let text = std::fs::read_to_string(path)?;
+    let text = io::read_to_string(toml_schema::open_file(path)?)?;
     let mut lines = text.lines();
     let head = serde_json::from_str(lines.next().unwrap_or(""))?;
     let records = lines

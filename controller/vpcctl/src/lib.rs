@@ -121,6 +121,9 @@ fn run(arguments: &Arguments) -> Result<Exit, Failure> {
         }
         Command::Serve(with) => {
             server::allow(with.listen, with.expose, with.control)?;
+            if with.control {
+                server::has_descriptors()?;
+            }
             let plane = ImagePlane::open(&directory, with.scene.as_deref())?;
             let watcher = Watcher::open(&directory)?;
             return serve::run(watcher, plane, with.listen, with.control);

@@ -24,6 +24,7 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use program::Exit;
+use rustix::process::{Resource, getrlimit};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -43,6 +44,9 @@ const WAITING: usize = 128;
 const GRACE: Duration = Duration::from_millis(100);
 /// Most that are being answered, commands not counted.
 const ANSWERED: usize = 32;
+
+/// Fewest files that may be open: with as many, a thousand idle clients delay a command by a second.
+const DESCRIPTORS: u64 = 128;
 
 /// Headers of every response: nothing is loaded from elsewhere, framed or kept.
 const HEADERS: [(HeaderName, &str); 4] = [
@@ -68,6 +72,23 @@ pub fn allow(address: SocketAddr, expose: bool, control: bool) -> Result<(), Fai
         (_, false, false) => format!("{address}: other machines reach this address; allowed: 127.0.0.0/8 and [::1] (see them from afar with `ssh -L`), others with --expose"),
     };
     Err(Failure::new(Exit::Usage, message))
+}
+
+/// Checks that idle clients cannot keep a stop waiting: each has its time, and those for which there
+/// is no descriptor wait for the others.
+///
+/// # Errors
+/// [`Exit::Unavailable`] with what is allowed.
+pub fn has_descriptors() -> Result<(), Failure> {
+    match getrlimit(Resource::Nofile).current {
+        Some(found) if found < DESCRIPTORS => {
+            let message = format!(
+                "at most {found} open files; allowed: {DESCRIPTORS} and more (ulimit -n), so that a stop never waits for idle clients"
+            );
+            Err(Failure::new(Exit::Unavailable, message))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Serves these routes at this address, beside `work`, until SIGINT, SIGTERM or SIGHUP. `line` is

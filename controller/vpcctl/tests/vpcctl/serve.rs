@@ -231,3 +231,17 @@ fn the_newest_image_is_served_to_who_has_not_got_it() {
         None
     });
 }
+
+#[test]
+fn a_page_that_commands_has_files_for_its_clients() {
+    let directory = tempfile::tempdir().unwrap();
+    let _daemon = StandIn::sound(directory.path());
+    let mut shell = testkit::command("sh");
+    shell.args(["-c", "ulimit -n 48; exec \"$@\"", "sh"]);
+    shell.arg(env!("CARGO_BIN_EXE_vpcctl")).arg("--domain");
+    shell.arg(directory.path()).args(["serve", "--control"]);
+    let output = shell.args(["--listen", "127.0.0.1:0"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(69), "{}", stderr(&output));
+    let words = "at most 48 open files; allowed: 128 and more (ulimit -n)";
+    assert!(stderr(&output).contains(words), "{}", stderr(&output));
+}
