@@ -25,6 +25,7 @@ pub struct Summary {
     state: u32,
     hold: u32,
     error_px: f64,
+    lag_s: f64,
     /// Cycles in motion without a known way, until the last one.
     lost: u32,
     /// Whether the law's twist was sent in some cycle so far.
@@ -68,6 +69,7 @@ impl Summary {
             self.bound = self.bound(record);
         }
         self.joint_fault = self.joint_fault(record);
+        self.lag_s = record.lag_s;
         self.log_changes(record);
         self.log_foresight(record);
         self.phase = record.phase;
@@ -158,7 +160,7 @@ impl Summary {
         Some(record.joint_fault()?.words(names).to_string())
     }
 
-    /// Why the law's twist is not sent, with what of the arm stands in its way.
+    /// Why the law's twist is not sent, with what of the arm stands in its way, or how late it is.
     fn words(&self, cause: Hold) -> String {
         if let (Hold::NoJoints | Hold::JointsNotFollowing, Some(fault)) = (cause, &self.joint_fault)
         {
@@ -170,6 +172,7 @@ impl Summary {
                 let joints = arm.joints.len();
                 format!("{cause}: the scene's arm has {joints}, and vpc/robot must tell all")
             }
+            (Hold::RobotLate | Hold::ImageLate, ..) => format!("{cause} by {:.2} s", self.lag_s),
             _ => cause.to_string(),
         }
     }

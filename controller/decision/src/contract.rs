@@ -66,6 +66,8 @@ pub fn hold_of(refusal: Refusal) -> Hold {
         | Refusal::Flat { .. } => Hold::Mixed,
         Refusal::Frozen { .. } => Hold::Frozen,
         Refusal::NotFollowing { .. } => Hold::NotFollowing,
+        Refusal::Exceeding { .. } => Hold::ImageExceeds,
+        Refusal::Lagging { .. } => Hold::ImageLate,
         Refusal::Elsewhere { .. } => Hold::Elsewhere,
         Refusal::Late { .. } => Hold::Stale,
         Refusal::NoJoints => Hold::NoJoints,

@@ -48,6 +48,8 @@ pub struct State {
     pub predicted: u32,
     /// What another program wants.
     pub wish: Option<Wish>,
+    /// How late robot or image was when it was last held for that, s.
+    pub lag_s: Option<f64>,
 }
 
 /// A twist that another program wants. Plain data.
@@ -72,6 +74,7 @@ pub struct ControlStep<'m> {
     standing: Answer,
     predicted: u32,
     wish: Option<Wish>,
+    lag_s: Option<f64>,
 }
 
 impl<'m> ControlStep<'m> {
@@ -106,6 +109,7 @@ impl<'m> ControlStep<'m> {
             },
             predicted: 0,
             wish: None,
+            lag_s: None,
         })
     }
 
@@ -128,6 +132,7 @@ impl<'m> ControlStep<'m> {
             standing,
             predicted,
             wish,
+            lag_s,
         } = self;
         State {
             gate: *gate,
@@ -138,6 +143,7 @@ impl<'m> ControlStep<'m> {
             standing: *standing,
             predicted: *predicted,
             wish: *wish,
+            lag_s: *lag_s,
         }
     }
 
@@ -152,6 +158,7 @@ impl<'m> ControlStep<'m> {
         self.standing = state.standing;
         self.predicted = state.predicted;
         self.wish = state.wish;
+        self.lag_s = state.lag_s;
     }
 
     /// The law.
@@ -232,7 +239,10 @@ impl<'m> ControlStep<'m> {
     /// and counts are the loop's. Never allocates.
     pub fn decide(&mut self, inputs: &Inputs, record: &mut CycleRecord) -> Answer {
         self.record_inputs(inputs, record);
-        let robot = self.robot.look(&inputs.robot, inputs.now_ns);
+        let law = &self.law;
+        let commanded = |from_ns, to_ns| law.commanded_between(from_ns, to_ns);
+        let robot = self.robot.look(&inputs.robot, inputs.now_ns, commanded);
+        self.lag_s = self.robot.lag_s().or(self.lag_s);
         if self.robot.is_idle() {
             self.law.expect_no_motion();
         }
@@ -272,6 +282,7 @@ impl<'m> ControlStep<'m> {
         record.state = decision.state.code();
         record.hold = Hold::number(decision.hold);
         contract::record_joint_fault(self.joints.fault(decision.hold), record);
+        record.lag_s = self.lag_s.unwrap_or(f64::NAN);
         Answer {
             stamp: proposed.stamp,
             decision,
@@ -426,14 +437,11 @@ impl<'m> ControlStep<'m> {
                 self.judge(&step, had_arrived && link != Link::New)
             }
             Err(refusal) => {
-                // The camera works, and the robot stands: features are not lost yet.
-                if let Refusal::Hidden {
-                    blind_s, most_s, ..
-                } = refusal
-                {
-                    if blind_s < most_s {
-                        self.gate.approve();
-                    }
+                match refusal {
+                    Refusal::Lagging { lag_s } => self.lag_s = Some(lag_s),
+                    // The camera works, and the robot stands: features are not lost yet.
+                    Refusal::Hidden { .. } if !self.law.blind().is_spent => self.gate.approve(),
+                    _ => (),
                 }
                 Decision::hold(contract::hold_of(refusal))
             }

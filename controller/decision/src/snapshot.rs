@@ -135,7 +135,7 @@ mod tests {
         robot.sent(&[f64::MIN_POSITIVE / 4.0; 6], u64::MAX);
         let mut state = messages::RobotState::free_camera([0.0; 3], [0.0; 3], 0);
         state.stamp = STAMP;
-        robot.look(&Input::Message(state), u64::MAX);
+        robot.look(&Input::Message(state), u64::MAX, |_, _| [f64::MAX; 6]);
         let mut joints = JointWatch::new(&rules);
         (state.joints, state.q) = (7, [f64::MIN_POSITIVE / 4.0; 7]);
         state.mode = messages::RobotMode::Moving.code();
@@ -167,6 +167,7 @@ mod tests {
                 twist: [f64::NAN; 6],
                 until_ns: u64::MAX,
             }),
+            lag_s: Some(f64::MAX),
         }
     }
 

@@ -6,9 +6,9 @@
 //! gravest of all that are present, and each hold has one response:
 //!
 //! - *Zero at once, disarm*: operator's stop, robot fault, clock anomaly, a standstill of the loop.
-//! - *Brake, disarm*: shutdown, operator's disarm, robot silent or not following, joints not
+//! - *Brake, disarm*: shutdown, operator's disarm, robot silent, not following or late, joints not
 //!   following, overruns, bad twist, solver failure, frozen image, an image that does not follow,
-//!   features lost.
+//!   moves more than commanded or is late, features lost.
 //! - *Brake, go on with the next good features*: no robot yet; features stale, invalid, hidden,
 //!   miscounted, not finite, off the image, mixed up, elsewhere, out of order; transport; no way
 //!   known; a solver that failed once or twice.
@@ -287,8 +287,8 @@ impl Supervisor {
             None => (),
             Some(Hold::NoRobot) => return Outcome::NoRobot,
             Some(Hold::RobotLost) => return Outcome::RobotLost,
-            Some(Hold::NotFollowed) => return Outcome::NotFollowed,
             Some(Hold::JointsNotFollowing) => return Outcome::JointsNotFollowing,
+            Some(Hold::NotFollowed | Hold::RobotLate) => return Outcome::NotFollowed,
             Some(_) => return Outcome::RobotFault,
         }
         // Where no way is known, or no twist is wanted, it may be armed, and waits.
@@ -353,11 +353,14 @@ impl Supervisor {
             (is_robot(Hold::RobotLost), Hold::RobotLost),
             (is_robot(Hold::NotFollowed), Hold::NotFollowed),
             (is_robot(Hold::JointsNotFollowing), Hold::JointsNotFollowing),
+            (is_robot(Hold::RobotLate), Hold::RobotLate),
             (self.overruns >= OVERRUN * IN_A_ROW, Hold::Overruns),
             (is_decided(Hold::BadTwist), Hold::BadTwist),
             (self.failures >= IN_A_ROW, Hold::Solver),
             (is_decided(Hold::Frozen), Hold::Frozen),
             (is_decided(Hold::NotFollowing), Hold::NotFollowing),
+            (is_decided(Hold::ImageExceeds), Hold::ImageExceeds),
+            (is_decided(Hold::ImageLate), Hold::ImageLate),
             (
                 self.is_lost(situation, now_ns) && !is_decided(Hold::NoJoints),
                 Hold::Lost,
@@ -463,11 +466,14 @@ fn response(hold: Hold) -> Response {
         | Hold::RobotLost
         | Hold::NotFollowed
         | Hold::JointsNotFollowing
+        | Hold::RobotLate
         | Hold::Overruns
         | Hold::BadTwist
         | Hold::Solver
         | Hold::Frozen
         | Hold::NotFollowing
+        | Hold::ImageExceeds
+        | Hold::ImageLate
         | Hold::Lost
         | Hold::Arrived => Response::Disarm,
         Hold::NoRobot

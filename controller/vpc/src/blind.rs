@@ -10,7 +10,9 @@
 //! | J | `rows` | derivative of a pixel by a small motion of the camera |
 //!
 //! The law goes on while three deviations of the worst point, sqrt(J P J'), are below what the gate
-//! takes for a leap, and no longer than the settings say.
+//! takes for a leap, and the budget of hidden time that the settings give is not spent. Images that
+//! show all points refill it at half of their time: a point that is hidden in every third image is
+//! served without end.
 #![expect(
     clippy::indexing_slicing,
     reason = "a dense kernel: from_fn gives indices inside the matrices"
@@ -26,14 +28,26 @@ use crate::{MAX_POINTS, Points, camera, gate, interaction};
 
 /// Deviations of a hidden point within which it must be known.
 const SURE: f64 = 3.0;
+/// Budget that an image with all points gives back, as a share of its time.
+pub(crate) const REFILL: f64 = 0.5;
+/// After the budget was spent the law waits until this share of it is back.
+const RESUME: f64 = 0.1;
+/// An image counts for so many periods at most when it refills the budget.
+const MOST_PERIODS: f64 = 1.5;
+/// Relative error of a sum of times.
+const ROUNDING: f64 = 1e-6;
 /// Gauss-Newton steps of a correction.
 const STEPS: usize = 3;
 
 /// How well the pose is known while points are hidden. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Blind {
-    /// The exposure of the last image that showed all points, ns.
-    pub whole_ns: u64,
+    /// Hidden time that images with all points have not given back yet, s.
+    pub spent_s: f64,
+    /// Whether the budget was spent, and too little of it is back.
+    pub is_spent: bool,
+    /// The last exposure that was counted, ns; 0 before the first.
+    counted_ns: u64,
     /// Deviation of the worst point, px; 0 where the last image showed all points.
     pub deviation_px: f64,
     /// Covariance of each point, uu uv vv, px^2; zero where the last image showed all points.
@@ -41,12 +55,40 @@ pub struct Blind {
 }
 
 impl Blind {
-    /// An image that shows all points.
-    pub const fn whole(exposed_ns: u64) -> Self {
+    /// Before the first image.
+    pub const NEW: Self = Self {
+        spent_s: 0.0,
+        is_spent: false,
+        counted_ns: 0,
+        deviation_px: 0.0,
+        ellipses: [[0.0; 3]; MAX_POINTS],
+    };
+
+    /// Counts an image of a camera with this period, s, against a budget of `most_s`.
+    pub(crate) fn count(&mut self, measurement: &Measurement, period: f64, most_s: f64) {
+        let exposed_ns = measurement.exposed_ns;
+        let since_ns = match core::mem::replace(&mut self.counted_ns, exposed_ns) {
+            0 => 0,
+            before => exposed_ns.saturating_sub(before),
+        };
+        let since_s = since_ns as f64 * 1e-9;
+        if measurement.is_whole() {
+            let given_s = REFILL * since_s.min(MOST_PERIODS * period);
+            self.spent_s = (self.spent_s - given_s).max(0.0);
+            self.is_spent &= self.spent_s > (1.0 - RESUME) * most_s;
+        } else {
+            let spent_s = self.spent_s + since_s.max(f64::MIN_POSITIVE);
+            self.is_spent |= spent_s > most_s * (1.0 + ROUNDING);
+            self.spent_s = spent_s.min(most_s);
+        }
+    }
+
+    /// After an image that shows all points.
+    pub(crate) fn whole(self) -> Self {
         Self {
-            whole_ns: exposed_ns,
             deviation_px: 0.0,
             ellipses: [[0.0; 3]; MAX_POINTS],
+            ..self
         }
     }
 

@@ -4,170 +4,150 @@
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
 //! | d | `seen` | displacement of all points over a window, measured, px |
-//! | c | `commanded` | the same by the commands sent, up to half a second earlier, px |
+//! | c | [`Track::commanded`] | the same by the commands sent, up to half a second earlier, px |
 //! | p = d'c / abs(c) | `along` | how much of the seen displacement is along the commanded one, px |
-//! | o | `object` | most that an object can take from p by a motion of its own, px |
+//! | o | `object` | most that an object can take from p, or add to it, by a motion of its own, px |
 //!
 //! The image does not follow if, for every lag of the robot, p + 3 px < abs(c) / 3 and p + o + 3 px
 //! < 0.5 abs(c). The check is repeated for c without the shift that is common to all points, and
-//! for c without their common turn and growth.
+//! for c without their common turn and growth. It moves more than commanded if over a quarter of
+//! a second abs(d) > 2 abs(c) + o + 6 px, where the norms are taken over each image and c begins a
+//! quarter of a second earlier. It is late if a lag beyond [`crate::lag::MOST_LAG_S`] explains it,
+//! and none with which the law is served does.
+//!
+//! Only images that show all points end a slot: predicted points do as they are told.
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use crate::lag::{Displacement, Track, add, dot};
 use crate::measurement::Refusal;
 use crate::prediction::{InitialState, Model};
 use crate::task::Task;
 use crate::{MAX_POINTS, Points, camera};
 
-/// Length of a slot, ns: windows and lags are whole slots, each a little longer than this at 30 Hz.
-const SLOT_NS: u64 = 125_000_000;
-/// Slots of a window: half a second for a fast camera, a second for a slow one.
-const WINDOWS: [usize; 2] = [4, 8];
-/// Largest lag, slots: a shaper, a low-pass filter and the way there have half a second together,
-/// as in the daemon's watch of the robot.
-const MOST_LAG: usize = 4;
-/// Lags looked at in each slot: where commands turn round, the displacement changes quickly with
-/// the lag.
-const STEPS: usize = 4;
-/// The lag of a usual robot, slots.
-const USUAL_LAG: usize = 2;
-/// Slots kept: the longest window at the largest lag.
-const SLOTS: usize = 12;
+/// Windows: half a second for a fast camera, a second for a slow one, ns.
+const WINDOWS_NS: [u64; 2] = [500_000_000, 1_000_000_000];
+/// Lags at which an image may follow, and the distance between two of them, ns: a shaper, a
+/// low-pass filter and the way there have half a second together, as in the daemon's watch of the
+/// robot. Where commands turn round, the displacement changes quickly with the lag.
+const LAGS: u64 = 17;
+const STEP_NS: u64 = 31_250_000;
+/// The greatest lag of a usual robot, and the window in which it moves more than commanded, ns.
+const USUAL_LAG_NS: u64 = 250_000_000;
+/// Within this time a second push is none, ns.
+const PUSH_NS: u64 = 1_000_000_000;
 
 /// Share of the commanded displacement below which the image does not follow.
 const SHARE: f64 = 1.0 / 3.0;
 /// Least share that errors of gain, depth and calibration leave: what is missing from it must be a
 /// motion of the object.
 const LEAST_GAIN: f64 = 0.5;
+/// The greatest that they leave.
+const MOST_GAIN: f64 = 2.0;
+/// A camera that is told to move less than this share of what an object may do tells no gain: the
+/// object may be carried along.
+const LEAST_OF_OBJECT: f64 = 0.5;
+/// The share of an object's speed by which it may turn round in a window that tells a lag: what an
+/// object does by itself is no late answer to commands.
+const LAGGING: f64 = 0.7;
 /// Six times the deviation of p with a noise of 0.35 px on each coordinate, px.
 const NOISE_PX: f64 = 3.0;
+/// The same of all coordinates in all slots of a window, px.
+const NOISE_OF_SLOTS_PX: f64 = 6.0;
 /// Where less than this share of the commanded displacement is no common shift, errors of
 /// calibration may hide it.
 const LEAST_SHAPE: f64 = 0.25;
 /// An object may move, and turn about its middle, at this share of the camera's velocity limits:
 /// 0.1 m/s and 0.2 rad/s in the paper's scene.
 const OBJECT: f64 = 0.2;
-
-/// A displacement of each point, px.
-type Displacement = [[f32; 2]; MAX_POINTS];
-
 /// What was seen and commanded of late. Plain data.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Follow {
-    /// Slots in use, 0 to 12.
-    count: u32,
-    /// The newest first; the rest is zero, so that an unknown command counts as none.
-    slots: [Slot; SLOTS],
-    /// Commanded since the newest slot.
-    since: Displacement,
-}
-
-/// The measurement that ends a slot, and the commanded displacement in the slot.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-struct Slot {
-    exposed_ns: u64,
+    track: Track,
+    /// The points at the end of the newest slot.
     points: Displacement,
-    commanded: Displacement,
+    /// Whether the last image showed all points.
+    was_whole: bool,
+    /// The exposure that showed the last push, ns; 0 before the first.
+    pushed_ns: u64,
 }
 
 impl Follow {
     /// Nothing was seen yet.
     pub const NEW: Self = Self {
-        count: 0,
-        slots: [Slot {
-            exposed_ns: 0,
-            points: [[0.0; 2]; MAX_POINTS],
-            commanded: [[0.0; 2]; MAX_POINTS],
-        }; SLOTS],
-        since: [[0.0; 2]; MAX_POINTS],
+        track: Track::NEW,
+        points: [[0.0; 2]; MAX_POINTS],
+        was_whole: false,
+        pushed_ns: 0,
     };
 
     /// Adds a measurement, which may be filtered, and where the commands since the one before
     /// should have taken the points `from` there: `to`.
     ///
     /// # Errors
-    /// [`Refusal::NotFollowing`] if the image does not follow the commands.
+    /// [`Refusal::NotFollowing`], [`Refusal::Exceeding`] or [`Refusal::Lagging`] if the image does
+    /// not follow the commands.
     pub fn add(
         &mut self,
         task: &Task,
         measured: &InitialState,
         [from, to]: [&Points; 2],
         exposed_ns: u64,
+        is_whole: bool,
     ) -> Result<(), Refusal> {
-        for (sum, (from, to)) in self.since.iter_mut().zip(from.iter().zip(to)) {
-            let each = sum.iter_mut().zip(from.iter().zip(to));
-            each.for_each(|(sum, (from, to))| *sum += (to - from) as f32);
+        let points = plain(&measured.points);
+        let [commanded, moved] = [plain(to), points].map(|to| less(to, &plain(from)));
+        self.track.command(&commanded, exposed_ns);
+        let was_whole = core::mem::replace(&mut self.was_whole, is_whole);
+        if is_whole && was_whole {
+            self.track.compare(&moved, &commanded);
         }
-        let [newest, ..] = &self.slots;
-        if self.count > 0 && exposed_ns.saturating_sub(newest.exposed_ns) < SLOT_NS {
+        if !is_whole || !self.track.is_due(exposed_ns) {
             return Ok(());
         }
-        let mut slot = Slot {
-            exposed_ns,
-            commanded: core::mem::take(&mut self.since),
-            ..Slot::default()
-        };
-        for (to, from) in slot.points.iter_mut().zip(&measured.points) {
-            *to = from.map(|x| x as f32);
-        }
-        self.slots.rotate_right(1);
-        let [newest, ..] = &mut self.slots;
-        *newest = slot;
-        self.count = (self.count + 1).min(SLOTS as u32);
+        let before = core::mem::replace(&mut self.points, points);
+        self.track.end(less(points, &before));
         let flow = flow(task, measured, Mover::Object);
-        WINDOWS
+        WINDOWS_NS
             .into_iter()
-            .try_for_each(|window| self.check(task, &measured.points, &flow, window))
+            .try_for_each(|window_ns| self.check(task, &measured.points, &flow, window_ns))?;
+        let speed = OBJECT * object_speed(task, &flow);
+        self.check_gain(speed)?;
+        match self.track.late([NOISE_OF_SLOTS_PX, LAGGING * speed]) {
+            Some(lag_s) => Err(Refusal::Lagging { lag_s }),
+            None => Ok(()),
+        }
+    }
+
+    /// An image shows a push: further than a command of the wrong sign would take it, it is no
+    /// matter of the commands. A camera is not pushed again and again.
+    pub fn push(&mut self, exposed_ns: u64) {
+        let is_again = exposed_ns.saturating_sub(self.pushed_ns) < PUSH_NS;
+        if !is_again {
+            *self = Self::NEW;
+        }
+        self.pushed_ns = exposed_ns;
     }
 
     /// How far a point goes at most on what was commanded of late, px: so far ahead of the image a
     /// robot's commands may be.
     pub fn ahead_px(&self) -> f64 {
-        let slots = self.slots.iter().take(USUAL_LAG);
-        let all = slots.map(|slot| &slot.commanded).chain([&self.since]);
-        let mut most = [0.0_f64; MAX_POINTS];
-        for commanded in all {
-            for (sum, [u, v]) in most.iter_mut().zip(commanded) {
-                *sum += libm::hypot(f64::from(*u), f64::from(*v));
-            }
-        }
-        most.into_iter().fold(0.0, f64::max)
+        self.track.path_px(USUAL_LAG_NS)
     }
 
-    /// The commanded displacement over a window of this many slots, `step` steps earlier.
-    fn commanded(&self, step: usize, window: usize) -> Displacement {
-        let (lag, part) = (step / STEPS, (step % STEPS) as f32 / STEPS as f32);
-        let mut sum = [[0.0; 2]; MAX_POINTS];
-        for slot in self.slots.iter().skip(lag).take(window) {
-            add(&mut sum, &slot.commanded, 1.0);
-        }
-        // The newest slot leaves the window as the one before its oldest comes in.
-        for (i, sign) in [(lag, -part), (lag + window, part)] {
-            if let Some(slot) = self.slots.get(i) {
-                add(&mut sum, &slot.commanded, sign);
-            }
-        }
-        sum
-    }
-
-    /// Checks a window of so many slots.
+    /// Checks the shortest window of at least this length.
     fn check(
         &self,
         task: &Task,
         points: &Points,
         flow: &[Displacement; 6],
-        window: usize,
+        window_ns: u64,
     ) -> Result<(), Refusal> {
-        let ([newest, ..], Some(oldest)) = (&self.slots, self.slots.get(window)) else {
+        let Some(slots) = self.track.window(window_ns) else {
             return Ok(());
         };
-        if self.count as usize <= window {
-            return Ok(());
-        }
-        let mut seen = newest.points;
-        add(&mut seen, &oldest.points, -1.0);
-        let seconds = newest.exposed_ns.saturating_sub(oldest.exposed_ns) as f64 * 1e-9;
+        let (seen, seconds) = self.track.moved(slots);
         let object = |along: &Displacement| {
             // Speed and turning rate, in any direction.
             let kinds = flow.chunks(3).zip(task.limits.chunks(3));
@@ -180,8 +160,9 @@ impl Follow {
         };
         for without in [Without::Nothing, Without::Shift, Without::Similarity] {
             let mut least = (f64::INFINITY, 0.0);
-            let mut lags = (0..=MOST_LAG * STEPS).map(|step| {
-                let mut commanded = self.commanded(step, window);
+            let mut is_missing = true;
+            for lag in 0..LAGS {
+                let mut commanded = self.track.commanded(slots, lag * STEP_NS);
                 let whole = libm::sqrt(dot(&commanded, &commanded));
                 without.leave_out(&mut commanded, points);
                 let length = libm::sqrt(dot(&commanded, &commanded));
@@ -190,11 +171,11 @@ impl Follow {
                     least = (length, along);
                 }
                 // False also for a NaN, where nothing was commanded.
-                length > LEAST_SHAPE * whole
+                is_missing &= length > LEAST_SHAPE * whole
                     && along + NOISE_PX < SHARE * length
-                    && along + object(&commanded) / length + NOISE_PX < LEAST_GAIN * length
-            });
-            if lags.all(|is_missing| is_missing) {
+                    && along + object(&commanded) / length + NOISE_PX < LEAST_GAIN * length;
+            }
+            if is_missing {
                 let (commanded_px, seen_px) = least;
                 return Err(Refusal::NotFollowing {
                     commanded_px,
@@ -204,6 +185,51 @@ impl Follow {
         }
         Ok(())
     }
+
+    /// Checks that the image does not move more than commanded, where an object moves at this speed
+    /// at most, px/s.
+    fn check_gain(&self, speed: f64) -> Result<(), Refusal> {
+        let Some(slots) = self.track.window(USUAL_LAG_NS) else {
+            return Ok(());
+        };
+        let (_, seconds) = self.track.moved(slots);
+        let ([seen_px, commanded_px], steps) = self.track.norms(slots);
+        let other = NOISE_OF_SLOTS_PX + speed * seconds / libm::sqrt(steps.max(1.0));
+        let tells = commanded_px > LEAST_OF_OBJECT * other;
+        match tells && seen_px > MOST_GAIN * commanded_px + other {
+            true => Err(Refusal::Exceeding {
+                commanded_px,
+                seen_px,
+            }),
+            false => Ok(()),
+        }
+    }
+}
+
+/// The displacement from `other` to `points`.
+fn less(mut points: Displacement, other: &Displacement) -> Displacement {
+    add(&mut points, other, -1.0);
+    points
+}
+
+fn plain(points: &Points) -> Displacement {
+    let mut plain = [[0.0; 2]; MAX_POINTS];
+    for (to, from) in plain.iter_mut().zip(points) {
+        *to = from.map(|x| x as f32);
+    }
+    plain
+}
+
+/// The norm of the image velocities of an object at the camera's limits of speed and turning rate,
+/// in the direction and about the axis in which it is greatest, px/s.
+fn object_speed(task: &Task, flow: &[Displacement; 6]) -> f64 {
+    let kinds = flow.chunks(3).zip(task.limits.chunks(3));
+    let most = kinds.map(|(flow, limits)| {
+        let each = flow.iter().zip(limits);
+        let each = each.map(|(flow, limit)| limit * libm::sqrt(dot(flow, flow)));
+        each.fold(0.0, f64::max)
+    });
+    most.sum()
 }
 
 /// What is left out of a displacement, because a slow motion of the object changes it much.
@@ -311,16 +337,6 @@ fn flow(task: &Task, at: &InitialState, mover: Mover) -> [Displacement; 6] {
     flow
 }
 
-fn add(sum: &mut Displacement, other: &Displacement, sign: f32) {
-    let pairs = sum.as_flattened_mut().iter_mut().zip(other.as_flattened());
-    pairs.for_each(|(sum, x)| *sum += sign * x);
-}
-
-fn dot(a: &Displacement, b: &Displacement) -> f64 {
-    let pairs = a.as_flattened().iter().zip(b.as_flattened());
-    pairs.map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -332,23 +348,30 @@ mod tests {
     }
 
     /// When, if ever in 6 s, an image that moves by `moves(s)` px/s under a command of `speed(s)`
-    /// px/s along u is found not to follow, s.
-    fn found(speed: impl Fn(f64) -> f64, moves: impl Fn(f64) -> f64) -> Option<f64> {
+    /// px/s along u is refused, s, and why.
+    fn refused(speed: impl Fn(f64) -> f64, moves: impl Fn(f64) -> f64) -> Option<(f64, Refusal)> {
         let task = task();
         let mut follow = Follow::NEW;
         let mut u = 0.0;
-        (1..180).map(|k| f64::from(k) * PERIOD).find(|&s| {
+        (1..180).map(|k| f64::from(k) * PERIOD).find_map(|s| {
+            let at = |u: f64| -> Points { task.goal.iter().map(|p| [p[0] + u, p[1]]).collect() };
+            let (from, to) = (at(u), at(u + speed(s) * PERIOD));
             u += moves(s) * PERIOD;
-            let from = &task.goal;
-            let to = from
-                .iter()
-                .map(|p| [p[0] + speed(s) * PERIOD, p[1]])
-                .collect();
-            let seen: Points = from.iter().map(|p| [p[0] + u, p[1]]).collect();
+            let seen = at(u);
             let seen = InitialState::new(&task, Model::AreaDepth, &seen);
-            let added = follow.add(&task, &seen, [from, &to], (s * 1e9) as u64);
-            added.is_err()
+            let added = follow.add(&task, &seen, [&from, &to], (s * 1e9) as u64, true);
+            Some((s, added.err()?))
         })
+    }
+
+    /// The same without the reason.
+    fn found(speed: impl Fn(f64) -> f64, moves: impl Fn(f64) -> f64) -> Option<f64> {
+        refused(speed, moves).map(|(s, _)| s)
+    }
+
+    /// To and fro, at the limits.
+    fn swings(s: f64) -> f64 {
+        if s % 2.0 < 1.0 { 400.0 } else { -400.0 }
     }
 
     /// Stands for a second, then goes.
@@ -370,16 +393,36 @@ mod tests {
     #[test]
     fn late_weak_and_moving_images_still_follow() {
         assert_eq!(found(go, go), None);
-        assert_eq!(found(go, |s| go(s - 0.5)), None);
+        assert_eq!(found(go, |s| go(s - 0.15)), None);
         assert_eq!(found(go, |s| 0.6 * go(s)), None);
-        // There and back, late.
-        let swings = |s: f64| if s % 2.0 < 1.0 { 400.0 } else { -400.0 };
-        for lag in [0.0, 0.05, 0.1, 0.2, 0.35, 0.5] {
+        for lag in [0.0, 0.05, 0.1, 0.15] {
             assert_eq!(found(swings, |s| 0.8 * swings(s - lag)), None, "{lag}");
         }
         // The camera keeps up with an object.
         assert_eq!(found(|_| 100.0, |_| 0.0), None);
         assert_eq!(found(go, |s| go(s) - 100.0), None);
+    }
+
+    #[test]
+    fn an_image_that_moves_three_times_as_far_exceeds_its_commands() {
+        let fast = found(go, |s| 3.0 * go(s)).unwrap();
+        assert!((1.1..1.8).contains(&fast), "{fast}");
+        for lag in [0.0, 0.1] {
+            assert_eq!(found(go, |s| 1.5 * go(s - lag)), None);
+        }
+        // An object that is carried along.
+        assert_eq!(found(|_| 10.0, |_| 300.0), None);
+    }
+
+    #[test]
+    fn an_image_that_is_later_than_the_law_stands_is_late() {
+        for lag in [0.4, 0.5] {
+            let (_, refusal) = refused(swings, |s| 0.8 * swings(s - lag)).unwrap();
+            let Refusal::Lagging { lag_s } = refusal else {
+                panic!("{lag}: {refusal}");
+            };
+            assert!((lag_s - lag).abs() < 0.1, "{lag}: {lag_s}");
+        }
     }
 
     #[test]

@@ -47,7 +47,7 @@ use crate::strategy::Strategy;
 use crate::task::Task;
 use crate::way::{COMMANDS, Way};
 use crate::work::{search, search_trajectory};
-use crate::{DOF, MAX_POINTS, Points, Twist, gate};
+use crate::{DOF, MAX_POINTS, Points, Twist, blind, gate};
 
 /// A candidate that arrives replaces another one that arrives if it costs less than this share of
 /// the other's cost.
@@ -893,7 +893,7 @@ impl Thinker<'_> {
                 let is_hidden = crossing::is_hidden(self.policy.task, &initial);
                 now.blind_s = match is_hidden {
                     true => now.blind_s + task.ts,
-                    false => 0.0,
+                    false => (now.blind_s - blind::REFILL * task.ts).max(0.0),
                 };
                 if now.blind_s > self.most_blind_s {
                     return ended(&now, Outcome::Unknown);

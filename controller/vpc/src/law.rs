@@ -324,8 +324,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             crossing::most_s(&self.task, &self.settings, &root, drift)
         };
         let most_blind_s = self.crossing.as_ref().map_or(0.0, most_s);
-        let since_ns = self.state.seen_ns.saturating_sub(self.state.blind.whole_ns);
-        let blind_s = self.lead_s + since_ns as f64 * 1e-9;
+        let blind_s = self.lead_s + self.state.blind.spent_s;
         let (room, rest) = self.workspace.as_mut().split_at_mut(refine::ROOM);
         let Some(solver) = &mut self.share.solver(&self.settings, rest) else {
             return;
@@ -442,6 +441,11 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
     /// How well the points are known that the last image did not show.
     pub fn blind(&self) -> &Blind {
         &self.state.blind
+    }
+
+    /// The mean command in force between two instants; zero where none is known.
+    pub fn commanded_between(&self, from_ns: u64, to_ns: u64) -> Twist {
+        self.state.history.mean(from_ns, to_ns)
     }
 
     /// The command that was sent last.
@@ -718,8 +722,12 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         measurement: &Measurement,
     ) -> Result<(InitialState, Option<Points>), Refusal> {
         let completed;
-        let (measurement, blind) = match measurement.is_whole() {
-            true => (measurement, Blind::whole(measurement.exposed_ns)),
+        let is_whole = measurement.is_whole();
+        let (period, most_s) = (self.task.period, self.settings.blind_s);
+        self.state.blind.count(measurement, period, most_s);
+        let (measurement, blind) = match is_whole {
+            true if self.state.blind.is_spent => return Err(self.hidden(&self.state.blind)),
+            true => (measurement, self.state.blind.whole()),
             false => {
                 let (whole, blind) = self.completed(measurement)?;
                 completed = whole;
@@ -775,7 +783,7 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         match (&before, &commanded) {
             (Some(from), Some(to)) if is_live => {
                 let follow = &mut self.state.follow;
-                let added = follow.add(&self.task, &measured, [from, to], exposed_ns);
+                let added = follow.add(&self.task, &measured, [from, to], exposed_ns, is_whole);
                 added.inspect_err(|_| self.lose_sight())?;
             }
             _ => self.state.follow = Follow::NEW,
@@ -860,25 +868,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
             mut blind, drift, ..
         } = self.state;
         let exposed_ns = measurement.exposed_ns;
-        let (most_s, most_px) = (self.settings.blind_s, blind::most_px(&self.task));
-        let refusal = |blind: &Blind| Refusal::Hidden {
-            blind_s: exposed_ns.saturating_sub(blind.whole_ns) as f64 * 1e-9,
-            most_s,
-            deviation_px: blind.deviation_px,
-            most_px,
-        };
         let found = measurement.points.len();
         if found != self.task.goal.len() {
             let expected = self.task.goal.len();
             return Err(Refusal::Count { found, expected });
         }
-        let is_over = |blind: &Blind| {
-            let since_ns = exposed_ns.saturating_sub(blind.whole_ns);
-            since_ns as f64 * 1e-9 > most_s || blind.deviation_px > most_px
-        };
+        let most_px = blind::most_px(&self.task);
+        let is_over = |blind: &Blind| blind.is_spent || blind.deviation_px > most_px;
         let expected = self.state_at(exposed_ns, drift.believed);
         let Some(expected) = expected.filter(|_| !is_over(&blind)) else {
-            return Err(refusal(&blind));
+            return Err(self.hidden(&blind));
         };
         let (seconds, command) = self.since(exposed_ns);
         let elapsed = Elapsed {
@@ -899,7 +898,16 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
                 };
                 Ok((whole, blind))
             }
-            None => Err(refusal(&blind)),
+            None => Err(self.hidden(&blind)),
+        }
+    }
+
+    fn hidden(&self, blind: &Blind) -> Refusal {
+        Refusal::Hidden {
+            blind_s: blind.spent_s,
+            most_s: self.settings.blind_s,
+            deviation_px: blind.deviation_px,
+            most_px: blind::most_px(&self.task),
         }
     }
 
@@ -934,9 +942,9 @@ impl<W: AsRef<[f64]> + AsMut<[f64]>> Law<W> {
         let most_px = moved_px + self.state.follow.ahead_px() + object_px;
         gate::check_place(&self.task, points, expected, most_px)?;
         let is_push = gate::is_push(&self.task, points, expected, 2.0 * moved_px + object_px);
-        if is_push {
-            // Further than a command of the wrong sign would take it: no matter of the commands.
-            self.state.follow = Follow::NEW;
+        if is_push && self.state.blind.deviation_px == 0.0 {
+            // Not after an image whose points were predicted.
+            self.state.follow.push(exposed_ns);
         }
         let commanded_px = commanded.map_or(moved_px, |commanded| {
             features::largest_distance(commanded, &filtered)

@@ -78,6 +78,7 @@ mod ibvs;
 mod interaction;
 pub(crate) mod intersample;
 pub mod joint_path;
+pub mod lag;
 pub mod law;
 pub mod limit;
 pub mod measurement;

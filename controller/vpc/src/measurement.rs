@@ -1,5 +1,6 @@
 //! Measured features, and why they may be refused.
 
+use crate::lag::MOST_LAG_S;
 use crate::{MAX_POINTS, Points};
 
 /// Measured features, px, in the order of the pattern.
@@ -64,7 +65,7 @@ pub enum Refusal {
     Count { found: usize, expected: usize },
     /// It would be steered on without some points, but no longer.
     #[error(
-        "features: points are hidden, for {blind_s:.2} s so far, and known to {deviation_px:.1} px; allowed: {most_s:.2} s and {most_px:.1} px"
+        "features: points are hidden, for {blind_s:.2} s of late, and known to {deviation_px:.1} px; allowed: {most_s:.2} s and {most_px:.1} px"
     )]
     Hidden {
         blind_s: f64,
@@ -100,6 +101,12 @@ pub enum Refusal {
         "features: {seen_px:.1} px of motion along the {commanded_px:.1} px that were commanded; allowed: a third or more"
     )]
     NotFollowing { commanded_px: f64, seen_px: f64 },
+    #[error(
+        "features: {seen_px:.1} px of motion along the {commanded_px:.1} px that were commanded; allowed: twice as much"
+    )]
+    Exceeding { commanded_px: f64, seen_px: f64 },
+    #[error("features: the image moves {lag_s:.2} s after the commands; allowed: {MOST_LAG_S} s")]
+    Lagging { lag_s: f64 },
     #[error(
         "features: {by_px:.0} px from where the commands since the last ones would put them; allowed: {most_px:.0} px"
     )]

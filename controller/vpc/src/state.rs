@@ -96,7 +96,7 @@ impl State {
             is_linked: false,
             still_px: 0.0,
             drift: Drift::NONE,
-            blind: Blind::whole(0),
+            blind: Blind::NEW,
             joints: None,
             elbow: 0.0,
             follow: Follow::NEW,

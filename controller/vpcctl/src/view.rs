@@ -242,13 +242,15 @@ impl View {
     }
 
     /// Why the law's twist is not sent: the words of the contract, but of a camera that was there
-    /// and is no more, since when. `None` if the twist is sent.
+    /// and is no more, since when, and by how much it is late. `None` if the twist is sent.
     pub fn cause_words(&self, now_ns: u64) -> Option<String> {
-        let hold = self.latest()?.hold()?;
+        let latest = self.latest()?;
+        let hold = latest.hold()?;
         let words = match hold {
             Hold::Stale | Hold::Lost | Hold::NoFeatures => self
                 .camera_silence_ns(now_ns)
                 .map(|age| format!("camera silent for {}", duration(age))),
+            Hold::RobotLate | Hold::ImageLate => Some(format!("{hold} by {:.2} s", latest.lag_s)),
             Hold::NoWay => self.bound().map(|bound| format!("{hold}: {bound}")),
             Hold::NoJoints | Hold::JointsNotFollowing => {
                 let number = || {
@@ -442,6 +444,14 @@ pub(crate) mod tests {
             words(&view),
             "joints unknown: panda_joint7 is told at 5.000; allowed: -2.947 to 2.947"
         );
+    }
+
+    #[test]
+    fn what_is_late_is_told_with_its_lag() {
+        let mut late = record(1, TwistState::Disarmed, Hold::RobotLate);
+        late.lag_s = 0.406;
+        let words = fed(&[late]).cause_words(0);
+        assert_eq!(words.as_deref(), Some("robot is late by 0.41 s"));
     }
 
     #[test]

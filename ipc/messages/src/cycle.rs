@@ -160,6 +160,14 @@ codes! {
         /// The arm's joints do not move as the robot says that its camera moves, or leap: see
         /// `joint_fault`.
         JointsNotFollowing = 33 => "joints do not follow",
+        /// What the robot says it carries out is late after the commands, by `lag_s`: more than the
+        /// control law stands.
+        RobotLate = 34 => "robot is late",
+        /// The image moves late after the commands, by `lag_s`: more than the control law stands. The
+        /// robot carries them out late, or `data_ns` is later than the exposure.
+        ImageLate = 35 => "image is late",
+        /// The image moves more than twice as far as commanded.
+        ImageExceeds = 36 => "image moves more than commanded",
     }
 }
 
@@ -606,6 +614,9 @@ message! {
         joint_fault_found: f64,
         /// The least and the greatest value allowed.
         joint_fault_allowed: [f64; 2],
+        /// How late the motion was after the commands when robot or image were last held as late;
+        /// NaN before.
+        lag_s: f64 ["s"] = f64::NAN,
     }
     // A buffer for recorders: half a minute at 30 Hz, a good part of a second in lockstep.
     "vpc/cycles" from "controller": Qos { history: 0, buffer: 1024, subscribers: 8, publishers: 1 }

@@ -4,7 +4,7 @@ use crate::field::Stamp;
 use crate::message::{Qos, message};
 
 /// Most bytes of a state.
-const STATE: usize = 49_152;
+const STATE: usize = 57_344;
 
 message! {
     /// All that a cycle leaves to the next one, at the beginning and every second or so. Only for a

@@ -223,3 +223,39 @@ fn without_blind_motion_any_hidden_point_is_refused() {
         run.refusals
     );
 }
+
+/// The budget of hidden time is refilled at half of the time of whole images.
+#[test]
+fn a_point_that_is_hidden_in_every_third_image_is_served_without_end() {
+    let start = starts()[0];
+    let run = run((0, &start), REST, settings(), |k| {
+        if k % 3 == 2 { 0b1011 } else { 0b1111 }
+    });
+    assert!(run.has_arrived && run.refusals.is_empty());
+}
+
+#[test]
+fn one_whole_image_in_four_does_not_renew_the_budget() {
+    let start = starts()[0];
+    let settings = Settings {
+        strategy: Strategy::Previous,
+        ..settings()
+    };
+    // From the third second on: 1 s of budget, of which 0.75 - 0.25 / 2 are spent in a second.
+    let (begin, end) = (90, 150);
+    let hidden = |k: usize| (begin..end).contains(&k) && k % 4 != 0;
+    let run = run((0, &start), REST, settings, |k| {
+        if hidden(k) { 0b1110 } else { 0b1111 }
+    });
+    let refused = run.refusals.len();
+    println!("{refused} {:?}", run.refusals.first());
+    let is_hidden = |refusal: &Refusal| matches!(refusal, Refusal::Hidden { .. });
+    assert!(run.refusals.iter().all(is_hidden));
+    // Whole images among them, too, and for a fifth of a second after the last hidden one.
+    let spent_after = (1.0 / 0.625 * 30.0) as usize;
+    let expected = end - begin - spent_after + 6;
+    assert!(
+        refused.abs_diff(expected) <= 3,
+        "{refused}, expected {expected}"
+    );
+}

@@ -238,6 +238,15 @@ fn remedy(hold: Hold) -> &'static str {
         Hold::NotFollowing => {
             "the image does not move as commanded: a frozen image, another camera's, a wrong sign or mounting, or a robot that does not obey; mend it, then `vpcctl arm`"
         }
+        Hold::RobotLate => {
+            "the robot carries commands out too late for the law: see its client and its filters, or lower the scene's limits; then `vpcctl arm`"
+        }
+        Hold::ImageLate => {
+            "the image shows motion too late for its stamps: data_ns must be the middle of the exposure, not the delivery; or see why the robot is late; then `vpcctl arm`"
+        }
+        Hold::ImageExceeds => {
+            "the image moves more than twice as far as commanded: see the scale of the robot's client (m/s, rad/s), focal length and pattern; then `vpcctl arm`"
+        }
         Hold::Elsewhere => {
             "the features are not where object and camera can be: see whether this is the object, then `vpcctl arm`"
         }

@@ -193,6 +193,14 @@ enum vpc_hold {
     // The arm's joints do not move as the robot says that its camera moves, or leap: see
     // `joint_fault`.
     VPC_HOLD_JOINTS_NOT_FOLLOWING = 33,
+    // What the robot says it carries out is late after the commands, by `lag_s`: more than the
+    // control law stands.
+    VPC_HOLD_ROBOT_LATE = 34,
+    // The image moves late after the commands, by `lag_s`: more than the control law stands. The
+    // robot carries them out late, or `data_ns` is later than the exposure.
+    VPC_HOLD_IMAGE_LATE = 35,
+    // The image moves more than twice as far as commanded.
+    VPC_HOLD_IMAGE_EXCEEDS = 36,
 };
 
 // What foresight follows.
@@ -615,6 +623,9 @@ typedef struct {
     double joint_fault_found;
     // The least and the greatest value allowed.
     double joint_fault_allowed[2];
+    // How late the motion was after the commands when robot or image were last held as late; NaN
+    // before. Unit: s.
+    double lag_s;
 } vpc_cycle_record;
 
 // All that a cycle leaves to the next one, at the beginning and every second or so. Only for a
@@ -624,12 +635,12 @@ typedef struct {
     vpc_stamp stamp;
     // The cycle that follows.
     uint64_t cycle;
-    // Bytes in state. 0 to 49152.
+    // Bytes in state. 0 to 57344.
     uint32_t length;
     // Version of the encoding of state.
     uint32_t version;
     // The state, encoded by the controller; zero past length.
-    uint8_t state[49152];
+    uint8_t state[57344];
 } vpc_snapshot;
 
 // An operator's request. Several operators may be at work. Service `vpc/requests`.
@@ -1017,7 +1028,7 @@ static_assert(sizeof(vpc_desired_twist) == 80, "vpc_desired_twist");
 static_assert(offsetof(vpc_desired_twist, stamp) == 0, "vpc_desired_twist.stamp");
 static_assert(offsetof(vpc_desired_twist, valid_until_ns) == 24, "vpc_desired_twist.valid_until_ns");
 static_assert(offsetof(vpc_desired_twist, twist) == 32, "vpc_desired_twist.twist");
-static_assert(sizeof(vpc_cycle_record) == 2024, "vpc_cycle_record");
+static_assert(sizeof(vpc_cycle_record) == 2032, "vpc_cycle_record");
 static_assert(offsetof(vpc_cycle_record, stamp) == 0, "vpc_cycle_record.stamp");
 static_assert(offsetof(vpc_cycle_record, cycle) == 24, "vpc_cycle_record.cycle");
 static_assert(offsetof(vpc_cycle_record, clock) == 32, "vpc_cycle_record.clock");
@@ -1086,7 +1097,8 @@ static_assert(offsetof(vpc_cycle_record, joint_fault) == 1992, "vpc_cycle_record
 static_assert(offsetof(vpc_cycle_record, joint_fault_index) == 1996, "vpc_cycle_record.joint_fault_index");
 static_assert(offsetof(vpc_cycle_record, joint_fault_found) == 2000, "vpc_cycle_record.joint_fault_found");
 static_assert(offsetof(vpc_cycle_record, joint_fault_allowed) == 2008, "vpc_cycle_record.joint_fault_allowed");
-static_assert(sizeof(vpc_snapshot) == 49192, "vpc_snapshot");
+static_assert(offsetof(vpc_cycle_record, lag_s) == 2024, "vpc_cycle_record.lag_s");
+static_assert(sizeof(vpc_snapshot) == 57384, "vpc_snapshot");
 static_assert(offsetof(vpc_snapshot, stamp) == 0, "vpc_snapshot.stamp");
 static_assert(offsetof(vpc_snapshot, cycle) == 24, "vpc_snapshot.cycle");
 static_assert(offsetof(vpc_snapshot, length) == 32, "vpc_snapshot.length");

@@ -179,6 +179,14 @@ class Hold(Code):
     # The arm's joints do not move as the robot says that its camera moves, or leap: see
     # `joint_fault`.
     JOINTS_NOT_FOLLOWING = 33, "joints do not follow"
+    # What the robot says it carries out is late after the commands, by `lag_s`: more than the
+    # control law stands.
+    ROBOT_LATE = 34, "robot is late"
+    # The image moves late after the commands, by `lag_s`: more than the control law stands. The
+    # robot carries them out late, or `data_ns` is later than the exposure.
+    IMAGE_LATE = 35, "image is late"
+    # The image moves more than twice as far as commanded.
+    IMAGE_EXCEEDS = 36, "image moves more than commanded"
 
 
 class ForesightCode(Code):
@@ -692,6 +700,9 @@ class CycleRecord(Message):
         ("joint_fault_found", ctypes.c_double),
         # The least and the greatest value allowed.
         ("joint_fault_allowed", ctypes.c_double * 2),
+        # How late the motion was after the commands when robot or image were last held as late; NaN
+        # before. Unit: s.
+        ("lag_s", ctypes.c_double),
     ]
 
     if TYPE_CHECKING:
@@ -763,10 +774,11 @@ class CycleRecord(Message):
         joint_fault_index: int
         joint_fault_found: float
         joint_fault_allowed: ctypes.Array[ctypes.c_double]
+        lag_s: float
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/CycleRecord/e0a9c65b"
+        return "vpc/CycleRecord/cf7adc5a"
 
 
 class Snapshot(Message):
@@ -778,12 +790,12 @@ class Snapshot(Message):
         ("stamp", Stamp),
         # The cycle that follows.
         ("cycle", ctypes.c_uint64),
-        # Bytes in `state`. 0 to 49152.
+        # Bytes in `state`. 0 to 57344.
         ("length", ctypes.c_uint32),
         # Version of the encoding of `state`.
         ("version", ctypes.c_uint32),
         # The state, encoded by the controller; zero past `length`.
-        ("state", ctypes.c_uint8 * 49152),
+        ("state", ctypes.c_uint8 * 57344),
     ]
 
     if TYPE_CHECKING:
@@ -795,7 +807,7 @@ class Snapshot(Message):
 
     @staticmethod
     def type_name() -> str:
-        return "vpc/Snapshot/938b8fab"
+        return "vpc/Snapshot/13276acb"
 
 
 class Request(Message):
@@ -969,7 +981,7 @@ CHECKS: dict[type, dict[str, Any]] = {
         "joint_fault": JointFaultCode,
     },
     Snapshot: {
-        "length": (0, 49152),
+        "length": (0, 57344),
     },
     Request: {
         "action": Action,
