@@ -117,11 +117,6 @@ impl<'a> Goal<'a> {
     }
 }
 
-fn bytes(path: &Path) -> Result<Vec<u8>, Failure> {
-    let read = |error| Failure::new(Exit::NoInput, format!("{}: {error}", path.display()));
-    fs::read(path).map_err(read)
-}
-
 /// A file of these bytes in the folder of the one that it will replace.
 fn next(bytes: &[u8], place: &Path) -> Result<PathBuf, Failure> {
     let to = with_suffix(place, ".next");

@@ -36,7 +36,7 @@ pub struct Operator {
     next_id: u64,
     sequence: u64,
     /// The veto that the last answer told; 0: none.
-    pub veto: u32,
+    veto: u32,
     /// The last answer.
     pub heard: Option<Reply>,
     random: ChaCha8Rng,

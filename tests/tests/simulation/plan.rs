@@ -5,7 +5,7 @@ use memory_blob::MemoryFile;
 use messages::ClockMode;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use scene::{Pose, Scene};
+use scene::{Pose, Scene, SceneFiles};
 use vpc::{Settings, Strategy};
 
 use crate::fault::{FAULTS, Fault};
@@ -71,7 +71,7 @@ const PLACES: [Place; 7] = [
 
 /// What all runs share: scenes and the memory of motion.
 pub struct Stock {
-    scenes: [Scene; PLACES.len()],
+    scenes: [SceneFiles; PLACES.len()],
     starts: Vec<Pose>,
     memory: MemoryFile,
 }
@@ -93,7 +93,13 @@ impl Stock {
 
     /// A scene.
     pub fn scene(&self, place: Place) -> &Scene {
-        &self.scenes[place as usize]
+        &self.scenes[place as usize].scene
+    }
+
+    /// Whether scenes differ in no more than the goal and the starts.
+    pub fn is_same_task(&self, one: Place, other: Place) -> bool {
+        let [one, other] = [one, other].map(|place| &self.scenes[place as usize]);
+        one.differences(other).is_empty()
     }
 
     /// The memory of motion.
@@ -102,7 +108,10 @@ impl Stock {
     }
 }
 
-fn scene_of(place: Place) -> Scene {
+fn scene_of(place: Place) -> SceneFiles {
+    let directory = testkit::root().join("ipc/scene/scenes");
+    let read = |name: &str| std::fs::read(directory.join(name));
+    let files = |text| SceneFiles::parse(text, "simulation", &read).unwrap();
     let paper = scene::PAPER_SIM;
     let changed = |changes: &[(&str, &str)]| {
         let mut text = paper.to_owned();
@@ -110,7 +119,7 @@ fn scene_of(place: Place) -> Scene {
             assert!(text.contains(from), "{from}");
             text = text.replace(from, to);
         }
-        Scene::parse(&text, "sim").unwrap()
+        files(text)
     };
     let beside = (
         "[goal]\ntranslation = [0.0, 0.0, 0.6]",
@@ -134,10 +143,7 @@ fn scene_of(place: Place) -> Scene {
             let text = scene::PAPER_ROBOT.replace("linear = 0.01", "linear = 0.1");
             let text = text.replace("angular = 0.03", "angular = 0.4");
             let (text, _) = text.split_once("[[occlusion]]").unwrap();
-            let text = format!("arm = \"panda.toml\"\n{text}");
-            let directory = testkit::root().join("ipc/scene/scenes");
-            let read = |name: &str| std::fs::read(directory.join(name));
-            Scene::parse_with(&text, "arm", &read).unwrap()
+            files(format!("arm = \"panda.toml\"\n{text}"))
         }
     }
 }

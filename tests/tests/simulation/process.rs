@@ -60,7 +60,7 @@ impl World<'_> {
         let (scene, settings) = (self.scene, self.plan.settings);
         let (rules, memory) = (self.plan.rules(scene), self.plan.memory());
         let mut control = ControlStep::new(scene, settings, memory, rules).unwrap();
-        control.name_vetoes(self.plan.seed);
+        control.name_vetoes(self.names());
         if let Some(veto) = again {
             control.begin_again(veto);
             presence.follow();
@@ -115,6 +115,11 @@ impl World<'_> {
                 self.judge.fail(Promise::Panic, || format!("{words:?}"));
             }
         }
+    }
+
+    /// The secret seed of the names of vetoes, of the process at work.
+    pub fn names(&self) -> u64 {
+        self.plan.seed << 32 | self.process
     }
 
     /// The process is gone, whatever it was about to do.

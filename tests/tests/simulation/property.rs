@@ -107,8 +107,8 @@ pub struct Judge {
     waits: bool,
     /// Whether the strategy has a goal.
     has_goal: bool,
-    /// The veto that stands, and when a stop was taken, ns.
-    veto: u32,
+    /// The veto that stands, and when a stop was answered last, ns.
+    pub veto: u32,
     stopped_ns: Option<u64>,
     /// Whether a process was killed since.
     is_unclean: bool,
@@ -179,7 +179,7 @@ impl Judge {
         self.is_unclean = true;
     }
 
-    /// The process has gone without leaving the veto that stood.
+    /// The process has gone without leaving its veto.
     pub fn forget(&mut self) {
         (self.veto, self.stopped_ns, self.stop_asked_ns) = (0, None, None);
     }
@@ -262,13 +262,10 @@ impl Judge {
         });
         match (action, outcome) {
             (Some(Action::Arm), Some(Outcome::Done)) => self.armed(request, now_ns),
-            (Some(Action::Disarm), _) => {
-                self.vetoed(reply);
-                self.waits = false;
-            }
+            (Some(Action::Disarm), _) => self.vetoed(reply),
             (Some(Action::Stop), _) => {
                 self.vetoed(reply);
-                (self.consent, self.waits) = (Consent::None, false);
+                self.consent = Consent::None;
                 self.stopped_ns = Some(now_ns);
             }
             (Some(Action::Strategy), Some(Outcome::Done)) => {
@@ -276,7 +273,7 @@ impl Judge {
                 if has_goal != self.has_goal && self.consent == Consent::Given {
                     self.consent = Consent::Ending;
                 }
-                // Unless it was braking to disarm.
+                // Unless it was on the way to disarmed already.
                 if has_goal != self.has_goal && reply.veto != self.veto {
                     self.vetoed(reply);
                 }
@@ -290,13 +287,13 @@ impl Judge {
         });
     }
 
-    /// An operator has stopped or disarmed it: by a name of its own.
+    /// Somebody has stopped or disarmed it: by a name of its own.
     fn vetoed(&mut self, reply: &Reply) {
         let is_new = ![0, self.veto].contains(&reply.veto);
         self.check(Promise::Consent, is_new, || {
             format!("veto {} again", reply.veto)
         });
-        self.veto = reply.veto;
+        (self.veto, self.waits) = (reply.veto, false);
         if self.consent == Consent::Given {
             self.consent = Consent::Ending;
         }
@@ -305,22 +302,21 @@ impl Judge {
     fn armed(&mut self, request: &Request, now_ns: u64) {
         let (named, veto) = (request.veto, self.veto);
         let is_program = request.id >> 32 == visitor::OPERATOR as u64 + 1;
-        self.check(Promise::Consent, [0, named].contains(&veto), || {
+        let is_named = [0, named].contains(&veto);
+        self.check(Promise::Consent, is_named, || {
             format!("armed by the name {named}, veto {veto} stands")
         });
-        let since_ns = self
-            .stopped_ns
-            .map_or(u64::MAX, |at| now_ns.saturating_sub(at));
-        let is_soon = veto != 0 && since_ns + ABOUT_NS < Request::AFTER_STOP_NS;
-        self.check(Promise::Consent, !is_soon, || {
+        let stopped_ns = self.stopped_ns.unwrap_or(0);
+        let since_ns = now_ns.saturating_sub(stopped_ns);
+        let is_late = veto == 0 || since_ns >= Request::AFTER_STOP_NS;
+        self.check(Promise::Consent, is_late, || {
             format!("armed {} ms after a stop", since_ns / 1_000_000)
         });
         self.check(Promise::Consent, self.consent != Consent::Ending, || {
             "armed while it brakes to disarm".to_owned()
         });
         (self.consent, self.waits) = (Consent::Given, false);
-        self.veto = 0;
-        self.is_unclean = false;
+        (self.veto, self.is_unclean) = (0, false);
         if !is_program {
             self.cell = self.rules.limits;
         }

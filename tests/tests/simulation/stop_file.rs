@@ -82,7 +82,7 @@ impl Domain {
         self.directory.path().join("domain")
     }
 
-    /// `vpcctl stop`, or a daemon that begins again after a stop.
+    /// `vpcctl stop`.
     pub fn ask(&mut self) {
         self.asked = Some(ipc::Asked::in_domain(&self.domain()).unwrap());
     }

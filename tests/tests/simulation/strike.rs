@@ -116,7 +116,8 @@ impl World<'_> {
             Fault::Stop => {
                 self.ask_stop();
                 // In the same cycle somebody arms by the name that this stop will have.
-                self.ask(2, Request::arm(0, Names(self.plan.seed).next(true)));
+                let name = Names(self.names()).next(true);
+                self.ask(2, Request::arm(0, name));
             }
             Fault::StopTwice => self.ask_stop(),
             Fault::StopAgainstArm if random.random_bool(0.5) => self.ask_stop(),
@@ -174,7 +175,7 @@ impl World<'_> {
             Fault::VisitForeign => vec![Paper, Foreign],
             _ => vec![Paper, Beside, Paper],
         };
-        self.visitor = Some(Visitor::new(goals));
+        self.visitor = Some(Visitor::new(goals, self.judge.veto));
         self.operators[visitor::OPERATOR].habit = Habit::Idle;
         self.queue.at(self.now_ns, Event::Visit);
     }

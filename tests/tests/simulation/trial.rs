@@ -431,6 +431,9 @@ impl World<'_> {
                 }
                 let wrong = self.random.random_range(2..9);
                 self.ask(1, Request::arm(0, wrong));
+                if self.plan.fault == Fault::ToFollow {
+                    self.ask(1, Request::strategy(0, StrategyCode::Previous, 0));
+                }
                 self.arm_again();
             }
             Stage::Visiting if self.visitor.is_none() => {

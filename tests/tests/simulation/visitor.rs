@@ -31,15 +31,18 @@ enum Step {
 /// The program.
 pub struct Visitor {
     goals: Vec<Place>,
+    /// The veto that its operator knows of.
+    known: u32,
     number: usize,
     step: Step,
 }
 
 impl Visitor {
-    /// One that goes from goal to goal.
-    pub fn new(goals: Vec<Place>) -> Self {
+    /// One that goes from goal to goal, and arms in spite of the veto that is known.
+    pub fn new(goals: Vec<Place>, known: u32) -> Self {
         Self {
             goals,
+            known,
             number: 0,
             step: Step::TakeUp,
         }
@@ -57,7 +60,12 @@ impl World<'_> {
         let Some(visitor) = &self.visitor else {
             return;
         };
-        let (number, step) = (visitor.number, visitor.step);
+        let Visitor {
+            number,
+            step,
+            known,
+            ..
+        } = *visitor;
         let goal = visitor.goals.get(number).copied();
         let next = match (step, goal) {
             (_, None) => Step::Over,
@@ -76,7 +84,7 @@ impl World<'_> {
                     Some(Outcome::Vetoed) => Step::Over,
                     _ if self.now_ns > until_ns => Step::Over,
                     _ => {
-                        self.ask(OPERATOR, Request::arm(0, 0));
+                        self.ask(OPERATOR, Request::arm(0, known));
                         step
                     }
                 }
@@ -104,14 +112,13 @@ impl World<'_> {
         }
     }
 
-    /// Lets the daemon take up a scene, unless more than goal and starts differ.
+    /// Lets the daemon take up a scene, unless that differs in more than the goal.
     fn take_up(&mut self, place: Place) -> bool {
-        let (new, mut old) = (self.plan.stock.scene(place), self.scene.clone());
-        (old.goal, old.starts) = (new.goal, new.starts);
-        if old != *new {
+        let stock = self.plan.stock;
+        if !stock.is_same_task(self.place, place) {
             return false;
         }
-        self.scene = new;
+        (self.place, self.scene) = (place, stock.scene(place));
         self.reload();
         true
     }

@@ -76,10 +76,11 @@ pub struct World<'s> {
     pub camera: Camera,
     pub robot: Robot,
     /// The scene of the next daemon.
+    pub place: Place,
     pub scene: &'s Scene,
     /// The process that the note of the domain names.
     pub note: Option<u64>,
-    /// Stops before the daemon that begins again.
+    /// The veto that stands when a daemon begins again.
     pub again: Option<u32>,
     /// The process of the daemon at work, or of the last one.
     pub id: u64,
@@ -150,6 +151,7 @@ impl<'s> World<'s> {
             network: Network::new(dice(seed, 2)),
             camera: Camera::new(plan.scene, &plan.start, dice(seed, 3)),
             robot: Robot::new(joints),
+            place: plan.place,
             scene: plan.scene,
             note: None,
             again: None,
@@ -334,9 +336,9 @@ impl<'s> World<'s> {
     pub fn send_reply(&mut self, reply: &Reply) {
         let number = (reply.id >> 32) as usize;
         self.tell(|| {
-            let seen = reply.seen;
+            let named = reply.named;
             format!(
-                "answer to {number}, {}, {seen}: {:?}",
+                "answer to {number}, {}, {named}: {:?}",
                 reply.action,
                 reply.outcome()
             )
