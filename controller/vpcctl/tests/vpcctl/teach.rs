@@ -82,6 +82,7 @@ fn taught(
         build: false,
         replace: false,
         watch: Duration::from_secs(1),
+        accept: Vec::new(),
         force,
     };
     teach(&domain, &arguments, &mut camera)
