@@ -10,7 +10,7 @@ use messages::Snapshot;
 use crate::control::State;
 
 /// Changes with the fields of [`State`], so that a state of another build is refused by its number.
-pub const VERSION: u32 = 17;
+pub const VERSION: u32 = 18;
 
 /// Cycles from one snapshot to the next, unless something is lost between.
 pub const EVERY: u64 = 32;

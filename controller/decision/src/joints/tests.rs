@@ -247,7 +247,7 @@ fn honest() -> Vec<Honest> {
             },
             Honest { every: 3, ..plain },
             Honest {
-                every: 6,
+                every: 3,
                 gain: 0.9,
                 ..plain
             },
@@ -673,9 +673,12 @@ fn what_is_found_of_each_lie() {
                 }
             }
             times.sort_by(f64::total_cmp);
-            let rank = |share: f64| times.get((share * (times.len().max(1) - 1) as f64) as usize);
+            let rank = |share: f64| {
+                let rank = (share * (times.len().max(1) - 1) as f64) as usize;
+                times.get(rank).copied().unwrap_or(f64::NAN)
+            };
             println!(
-                "{name} {what}: {} of {count}; median {:.2?} s, 95 % {:.2?} s",
+                "{name} {what}: {} of {count}; median {:.2} s, 95 % {:.2} s",
                 times.len(),
                 rank(0.5),
                 rank(0.95)
