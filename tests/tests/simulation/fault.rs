@@ -10,20 +10,24 @@ pub const BRAKING: u64 = 3;
 pub const BLIND_NS: u64 = 1_000_000_000;
 /// In which an image that does not follow the commands is noticed, ns.
 const NOTICED_NS: u64 = 1_500_000_000;
-/// In which a robot or an image is noticed that is late, too fast, or flickers, ns.
-const HELD_NS: u64 = 2_500_000_000;
+/// For how long, in all, the law is fast with a robot that is late or too fast, with images that
+/// are late, and goes on with ones that flicker, ns.
+const ROBOT_NS: u64 = 1_000_000_000;
+const LATE_NS: u64 = 1_500_000_000;
+const FLICKER_NS: u64 = 2_000_000_000;
+/// In which the camera comes near any goal, ns.
+const LONG_NS: u64 = 6_000_000_000;
 /// Time without features, or without the robot's state, after which the camera is disarmed,
 /// `safety.lost_s`, ns.
 pub const LOST_NS: u64 = 300_000_000;
 
+/// Why an image is held that does not move as commanded.
+const IMAGE: &[Hold] = &[Hold::NotFollowing, Hold::Frozen, Hold::Lost];
+/// The same, or a robot.
+const MOTION: &[Hold] = &[Hold::NotFollowing, Hold::NotFollowed, Hold::Lost];
+
 /// Faults whose mends are still to come: no seed has them.
 pub const AWAITED: &[Fault] = &[
-    // joints
-    Fault::JointsFrozen,
-    Fault::JointsFuture,
-    Fault::JointsJump,
-    Fault::JointsWrapped,
-    Fault::JointsOther,
     // image
     Fault::Flicker,
     Fault::LateFresh,
@@ -228,8 +232,11 @@ pub enum Outcome {
     },
     /// Nothing that concerns the supervisor: it stays armed.
     GoesOn,
-    /// It arrives, or disarms for one of these causes.
-    Bears(&'static [Hold]),
+    /// It arrives, or disarms for one of these causes; it is fast for this time at most, ns.
+    Bears {
+        causes: &'static [Hold],
+        fast_ns: u64,
+    },
     /// The daemon ends.
     Ends,
     /// The run has an end of its own.
@@ -247,6 +254,10 @@ impl Fault {
         };
         let brakes = |causes, noticed_ns| disarms(causes, noticed_ns, 1);
         let at_once = |causes| disarms(causes, 0, 0);
+        let bears = |fast_ns| Outcome::Bears {
+            causes: MOTION,
+            fast_ns,
+        };
         match self {
             Self::Freeze
             | Self::Silence
@@ -266,9 +277,8 @@ impl Fault {
             Self::Uncounted => brakes(&[Order, Lost], period_ns),
             Self::Image => brakes(&[Frozen], 0),
             Self::Noise => brakes(&[NotFollowing, Frozen], NOTICED_NS),
-            Self::Flicker => brakes(&[NotFollowing, Frozen, Lost], HELD_NS),
-            Self::LateFresh => brakes(&[NotFollowing, Lost], HELD_NS),
-            Self::Mirrored => brakes(&[NotFollowing, Lost], NOTICED_NS),
+            Self::Flicker => brakes(IMAGE, FLICKER_NS),
+            Self::LateFresh | Self::Mirrored => bears(LATE_NS),
             Self::Hidden => brakes(&[Lost], BLIND_NS),
             Self::NoAnswer => brakes(&[Solver], 0),
             Self::Future | Self::ClockBack => at_once(&[Clock]),
@@ -276,11 +286,9 @@ impl Fault {
             Self::RobotReflex => at_once(&[RobotFault]),
             Self::RobotStrays => brakes(&[NotFollowed], LOST_NS),
             Self::RobotBlocked => brakes(&[NotFollowing], NOTICED_NS),
-            Self::RobotFast => brakes(&[NotFollowing, Lost], HELD_NS),
-            Self::RobotLate => brakes(&[NotFollowing, NotFollowed, Lost], HELD_NS),
-            Self::RobotCrossed => brakes(&[NotFollowing, NotFollowed, Lost], NOTICED_NS),
+            Self::RobotFast | Self::RobotLate | Self::RobotCrossed => bears(ROBOT_NS),
             Self::RobotLags | Self::RobotGain | Self::RobotBias | Self::RobotDeadZone => {
-                Outcome::Bears(&[NotFollowing, NotFollowed, Lost])
+                bears(LONG_NS)
             }
             Self::Hang | Self::Suspend => at_once(&[Standstill]),
             // A brake of cycles each of which takes three periods.
@@ -317,7 +325,8 @@ impl Fault {
 
     /// Whether another program steers from the beginning.
     pub fn is_of_policy(self) -> bool {
-        self == Self::Guardian || self == Self::ToGoal || self.is_of_joints()
+        let is_one = matches!(self, Self::Guardian | Self::ToGoal | Self::RobotFast);
+        is_one || self.is_of_joints()
     }
 
     /// Whether it is noticed only where the camera moves fast, or is the point only there.
@@ -333,8 +342,7 @@ impl Fault {
 
     /// Whether the camera may move again after a zero, until it disarms.
     pub fn may_flare(self) -> bool {
-        let is_of_motion = (Self::RobotFast..=Self::RobotCrossed).contains(&self);
-        is_of_motion || matches!(self, Self::Flicker | Self::LateFresh | Self::Mirrored)
+        self == Self::Flicker
     }
 
     /// Whether it can begin in the midst of everything else, and end.

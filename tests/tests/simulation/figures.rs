@@ -23,6 +23,8 @@ pub struct Figures {
     pub end_ns: u64,
     /// From the asking of a stop to zero.
     pub stop_ns: u64,
+    /// For how long the law is fast while robot or image lie.
+    pub fast_ns: u64,
     /// The greatest step.
     pub steepest: f64,
     /// The deepest of a guarded point, px.
@@ -41,6 +43,7 @@ impl Figures {
             rest_ns: self.rest_ns.max(other.rest_ns),
             end_ns: self.end_ns.max(other.end_ns),
             stop_ns: self.stop_ns.max(other.stop_ns),
+            fast_ns: self.fast_ns.max(other.fast_ns),
             steepest: self.steepest.max(other.steepest),
             deepest_px: self.deepest_px.max(other.deepest_px),
             checks: std::array::from_fn(|k| self.checks[k] + other.checks[k]),
@@ -57,6 +60,7 @@ impl fmt::Display for Figures {
             ("rest", self.rest_ns),
             ("end", self.end_ns),
             ("stop", self.stop_ns),
+            ("fast", self.fast_ns),
         ];
         for (name, ns) in times.into_iter().filter(|(_, ns)| *ns > 0) {
             write!(f, "{name} {} ms, ", ns.div_ceil(MS))?;

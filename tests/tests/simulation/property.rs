@@ -99,6 +99,8 @@ pub struct Judge {
     /// The limits that an operator has armed, m/s and rad/s.
     cell: [f64; 6],
     period_ns: u64,
+    /// How far the clock may go back in this run, ns.
+    back_ns: u64,
     begin_ns: u64,
     /// The last decision: its instant, and what it commanded.
     before: Option<(u64, [f64; 6])>,
@@ -125,12 +127,13 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// One who has seen nothing.
-    pub fn new(rules: Rules, period_ns: u64) -> Self {
+    /// One who has seen nothing, of a clock that goes back perhaps.
+    pub fn new(rules: Rules, period_ns: u64, turns_back: bool) -> Self {
         Self {
             rules,
             cell: rules.limits,
             period_ns,
+            back_ns: if turns_back { 3 * period_ns } else { 0 },
             begin_ns: 0,
             before: None,
             consent: Consent::None,
@@ -270,12 +273,11 @@ impl Judge {
             }
             (Some(Action::Strategy), Some(Outcome::Done)) => {
                 let has_goal = reply.strategy != StrategyCode::Follow.code();
-                if has_goal != self.has_goal && self.consent == Consent::Given {
-                    self.consent = Consent::Ending;
-                }
-                // Unless it was on the way to disarmed already.
-                if has_goal != self.has_goal && reply.veto != self.veto {
+                // One that is braking already needs no veto.
+                if reply.veto != self.veto {
                     self.vetoed(reply);
+                } else if has_goal != self.has_goal && self.consent == Consent::Given {
+                    self.consent = Consent::Ending;
                 }
                 self.has_goal = has_goal;
             }
@@ -308,7 +310,7 @@ impl Judge {
         });
         let stopped_ns = self.stopped_ns.unwrap_or(0);
         let since_ns = now_ns.saturating_sub(stopped_ns);
-        let is_late = veto == 0 || since_ns >= Request::AFTER_STOP_NS;
+        let is_late = veto == 0 || since_ns + self.back_ns >= Request::AFTER_STOP_NS;
         self.check(Promise::Consent, is_late, || {
             format!("armed {} ms after a stop", since_ns / 1_000_000)
         });
@@ -479,7 +481,7 @@ impl Judge {
 }
 
 /// The largest component of a twist as a share of its limit; infinite for a NaN.
-fn share(twist: &[f64; 6], limits: &[f64; 6]) -> f64 {
+pub fn share(twist: &[f64; 6], limits: &[f64; 6]) -> f64 {
     let shares = std::iter::zip(twist, limits);
     shares.fold(0.0, |most: f64, (v, limit)| match v.abs() / limit {
         share if share.is_nan() => f64::INFINITY,

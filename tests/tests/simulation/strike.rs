@@ -28,7 +28,7 @@ impl World<'_> {
                 Stage::Going
             }
             Outcome::Ends => Stage::Ending,
-            Outcome::Bears(_) => Stage::Bearing,
+            Outcome::Bears { .. } => Stage::Bearing,
             Outcome::Disarms { .. } => Stage::Failing,
             Outcome::Own if fault.is_of_joints() => {
                 self.queue.at(now_ns + 4 * SECOND, Event::Turn);

@@ -8,6 +8,7 @@ use crate::fault::{Fault, Outcome};
 use crate::figures::Figures;
 use crate::operator::{Habit, MOST};
 use crate::promise::Promise;
+use crate::property::share;
 use crate::queue::Event;
 use crate::world::World;
 
@@ -25,6 +26,8 @@ const REST_NS: u64 = 107 * MS;
 const END_NS: u64 = 500 * MS;
 /// In which the camera stands after a guarded program fell silent, ns.
 const SILENT_NS: u64 = 500 * MS;
+/// From this share of the limits on a camera is fast.
+const FAST: f64 = 0.25;
 /// In which it arrives, or gives up, ns.
 const ARRIVES_NS: u64 = 20 * SECOND;
 /// Longest visit, ns.
@@ -201,7 +204,10 @@ impl World<'_> {
                 });
             }
             Stage::Failing => self.observe_fault(command, hold, now_ns),
-            Stage::Bearing => self.observe_arrival(state, hold),
+            Stage::Bearing => {
+                self.observe_speed(&command.twist, state);
+                self.observe_arrival(state, hold);
+            }
             Stage::Moving if self.plan.fault == Fault::Nothing => {
                 self.observe_arrival(state, hold);
             }
@@ -259,6 +265,21 @@ impl World<'_> {
         self.queue.at(self.now_ns + after_ns, Event::Strike);
     }
 
+    /// The law is fast for no longer, in all, than it takes to notice the fault.
+    fn observe_speed(&mut self, twist: &[f64; 6], state: TwistState) {
+        let Outcome::Bears { fast_ns, .. } = self.plan.fault.outcome(self.plan.period_ns) else {
+            return;
+        };
+        let is_fast = share(twist, &self.scene.limits.velocity()) > FAST;
+        if state == TwistState::Moving && is_fast {
+            self.trial.figures.fast_ns += self.plan.period_ns;
+            let took_ns = self.trial.figures.fast_ns;
+            self.judge.check(Promise::Brake, took_ns <= fast_ns, || {
+                format!("the law is fast for {} ms in all", took_ns / MS)
+            });
+        }
+    }
+
     /// It arrives in the end, or disarms for a cause that the fault may have.
     fn observe_arrival(&mut self, state: TwistState, hold: Option<Hold>) {
         let until_ns = match self.plan.fault {
@@ -271,7 +292,7 @@ impl World<'_> {
                 self.judge.check(Promise::Arrives, true, String::new);
                 self.trial.stage = Stage::Over;
             }
-            (TwistState::Disarmed, Outcome::Bears(causes)) => {
+            (TwistState::Disarmed, Outcome::Bears { causes, .. }) => {
                 self.judge.cause(causes, hold);
                 self.trial.stage = Stage::Over;
             }
@@ -279,8 +300,12 @@ impl World<'_> {
                 let disarmed = || format!("disarmed, {hold:?}");
                 self.judge.fail(Promise::Arrives, disarmed);
             }
+            // A wish never arrives.
+            _ if self.plan.fault.is_of_policy() && self.now_ns >= until_ns => {
+                self.trial.stage = Stage::Over;
+            }
             _ => {
-                let is_in_time = self.now_ns < until_ns;
+                let is_in_time = self.now_ns < until_ns || self.plan.fault.is_of_policy();
                 self.judge.check(Promise::Arrives, is_in_time, || {
                     format!("not in {} s: {state}, {hold:?}", ARRIVES_NS / SECOND)
                 });
@@ -424,6 +449,10 @@ impl World<'_> {
                 self.trial.stage = Stage::Refused;
                 self.queue.at(self.now_ns + SECOND, Event::Turn);
             }
+            // Where nobody wants a twist, nothing moves.
+            Stage::GaveUp if self.plan.fault == Fault::ToFollow => {
+                self.trial.stage = Stage::Over;
+            }
             Stage::GaveUp | Stage::Gone => {
                 self.trial.strikes = self.trial.strikes.min(1);
                 if self.trial.stage == Stage::Gone {
@@ -431,9 +460,6 @@ impl World<'_> {
                 }
                 let wrong = self.random.random_range(2..9);
                 self.ask(1, Request::arm(0, wrong));
-                if self.plan.fault == Fault::ToFollow {
-                    self.ask(1, Request::strategy(0, StrategyCode::Previous, 0));
-                }
                 self.arm_again();
             }
             Stage::Visiting if self.visitor.is_none() => {

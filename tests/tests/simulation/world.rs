@@ -173,7 +173,7 @@ impl<'s> World<'s> {
             policy: Policy::new(rules.limits, turns, dice(seed, 4)),
             visitor: None,
             referee: (fault == Fault::Guardian).then(|| Referee::new(plan.scene)),
-            judge: Judge::new(rules, plan.period_ns),
+            judge: Judge::new(rules, plan.period_ns, plan.turns_back()),
             trial: Trial::new(),
             peers_ns: BEGIN_NS,
             hung_until_ns: 0,
