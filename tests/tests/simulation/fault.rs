@@ -22,18 +22,27 @@ const LONG_NS: u64 = 6_000_000_000;
 pub const LOST_NS: u64 = 300_000_000;
 
 /// Why an image is held that does not move as commanded.
-const IMAGE: &[Hold] = &[Hold::NotFollowing, Hold::Frozen, Hold::Lost];
+const IMAGE: &[Hold] = &[
+    Hold::ImageExceeds,
+    Hold::ImageLate,
+    Hold::NotFollowing,
+    Hold::Frozen,
+    Hold::Lost,
+];
 /// The same, or a robot.
-const MOTION: &[Hold] = &[Hold::NotFollowing, Hold::NotFollowed, Hold::Lost];
+const MOTION: &[Hold] = &[
+    Hold::ImageExceeds,
+    Hold::ImageLate,
+    Hold::NotFollowing,
+    Hold::RobotLate,
+    Hold::NotFollowed,
+    Hold::Lost,
+];
 
 /// Faults whose mends are still to come: no seed has them.
 pub const AWAITED: &[Fault] = &[
-    // image
-    Fault::Flicker,
+    // Some swing for longer than stated: 0.2 to 0.4 s old, from the first motion on.
     Fault::LateFresh,
-    Fault::RobotFast,
-    Fault::RobotLate,
-    Fault::RobotCrossed,
 ];
 
 /// Declares the faults with the list of all.
