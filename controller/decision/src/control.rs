@@ -438,7 +438,7 @@ impl<'m> ControlStep<'m> {
             }
             Err(refusal) => {
                 match refusal {
-                    Refusal::Lagging { lag_s } => self.lag_s = Some(lag_s),
+                    Refusal::Lagging { lag_s, .. } => self.lag_s = Some(lag_s),
                     // The camera works, and the robot stands: features are not lost yet.
                     Refusal::Hidden { .. } if !self.law.blind().is_spent => self.gate.approve(),
                     _ => (),

@@ -20,7 +20,7 @@
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
-use crate::lag::{Displacement, Track, add, dot};
+use crate::lag::{Displacement, MOST_LAG_S, Track, add, dot};
 use crate::measurement::Refusal;
 use crate::prediction::{InitialState, Model};
 use crate::task::Task;
@@ -115,7 +115,10 @@ impl Follow {
         let speed = OBJECT * object_speed(task, &flow);
         self.check_gain(speed)?;
         match self.track.late([NOISE_OF_SLOTS_PX, LAGGING * speed]) {
-            Some(lag_s) => Err(Refusal::Lagging { lag_s }),
+            Some(lag_s) => Err(Refusal::Lagging {
+                lag_s,
+                most_s: MOST_LAG_S,
+            }),
             None => Ok(()),
         }
     }
@@ -418,7 +421,7 @@ mod tests {
     fn an_image_that_is_later_than_the_law_stands_is_late() {
         for lag in [0.4, 0.5] {
             let (_, refusal) = refused(swings, |s| 0.8 * swings(s - lag)).unwrap();
-            let Refusal::Lagging { lag_s } = refusal else {
+            let Refusal::Lagging { lag_s, .. } = refusal else {
                 panic!("{lag}: {refusal}");
             };
             assert!((lag_s - lag).abs() < 0.1, "{lag}: {lag_s}");

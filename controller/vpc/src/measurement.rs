@@ -1,6 +1,5 @@
 //! Measured features, and why they may be refused.
 
-use crate::lag::MOST_LAG_S;
 use crate::{MAX_POINTS, Points};
 
 /// Measured features, px, in the order of the pattern.
@@ -105,8 +104,8 @@ pub enum Refusal {
         "features: {seen_px:.1} px of motion along the {commanded_px:.1} px that were commanded; allowed: twice as much"
     )]
     Exceeding { commanded_px: f64, seen_px: f64 },
-    #[error("features: the image moves {lag_s:.2} s after the commands; allowed: {MOST_LAG_S} s")]
-    Lagging { lag_s: f64 },
+    #[error("features: the image moves {lag_s:.2} s after the commands; allowed: {most_s} s")]
+    Lagging { lag_s: f64, most_s: f64 },
     #[error(
         "features: {by_px:.0} px from where the commands since the last ones would put them; allowed: {most_px:.0} px"
     )]

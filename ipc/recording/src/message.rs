@@ -158,6 +158,7 @@ mod tests {
             clearance_px: f64::NEG_INFINITY,
             error_px: f64::MIN_POSITIVE / 4.0,
             arrival_s: 0.1,
+            lag_s: 0.3,
             ..CycleRecord::default()
         };
         record.points = std::array::from_fn(|i| (i as f64).exp() * 1e-7);

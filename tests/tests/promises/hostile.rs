@@ -60,9 +60,17 @@ fn quadrangle(random: &mut impl Rng) -> [[f64; 2]; 4] {
     })
 }
 
-fn nasty_features(sequence: u64, random: &mut impl Rng) -> Features {
-    // Half of them nearly good, so that the law is reached, too.
-    let mut features = Features::new(&quadrangle(random), now_ns());
+fn nasty_features(sequence: u64, corners: &mut [[f64; 2]; 4], random: &mut impl Rng) -> Features {
+    // Half of them nearly good, most of them where the last ones were, so that the law is reached,
+    // too.
+    if random.random_ratio(1, 16) {
+        *corners = quadrangle(random);
+    }
+    corners
+        .as_flattened_mut()
+        .iter_mut()
+        .for_each(|x| *x += random.random_range(-0.5..0.5));
+    let mut features = Features::new(corners, now_ns());
     features.stamp.sequence = sequence;
     features.stamp.published_ns = now_ns();
     if random.random_bool(0.5) {
@@ -70,7 +78,10 @@ fn nasty_features(sequence: u64, random: &mut impl Rng) -> Features {
     }
     features.stamp = nasty_stamp(sequence, random);
     features.count = nasty_count(random);
-    features.visible = nasty_count(random);
+    if random.random_ratio(1, 4) {
+        // Seldom: hidden time is a budget.
+        features.visible = nasty_count(random);
+    }
     features.exposure_ns = random.random();
     for _ in 0..random.random_range(0..5) {
         let k = random.random_range(0..features.points.len());
@@ -91,12 +102,16 @@ fn nasty_state(sequence: u64, random: &mut impl Rng) -> RobotState {
     state
 }
 
-fn nasty_request(id: u64, random: &mut impl Rng) -> Request {
+/// Half of them arm as they should.
+fn nasty_request(id: u64, veto: u32, random: &mut impl Rng) -> Request {
     let mut request = Request::new(id, messages::Action::Status);
+    let is_good = random.random();
+    request.veto = if is_good { veto } else { nasty_count(random) };
     request.stamp = nasty_stamp(id + 1, random);
     request.action = match nasty_count(random) {
         // Neither stop nor disarm: the law is to be reached.
         2 | 3 => 1,
+        _ if is_good => 1,
         other => other,
     };
     request.strategy = nasty_count(random);
@@ -128,17 +143,20 @@ fn random_messages_never_move_beyond_the_limits() {
         std::thread::sleep(Duration::from_millis(10));
         camera.twist.latest().unwrap()
     });
-    let mut moving = 0_u64;
+    let (mut moving, mut veto) = (0_u64, 0);
+    let mut corners = quadrangle(&mut random);
     let messages = repeats("fuzzed messages", 2_000, 1_000_000) as u64;
     for sequence in sequence + 1..=sequence + messages {
-        let features = nasty_features(sequence, &mut random);
+        let features = nasty_features(sequence, &mut corners, &mut random);
         camera.features.publish_verbatim(&features).unwrap();
         if sequence % 4 == 0 {
             let state = nasty_state(sequence, &mut random);
             robot.robot.publish_verbatim(&state).unwrap();
-            let request = nasty_request(sequence, &mut random);
+            let request = nasty_request(sequence, veto, &mut random);
             operator.requests.publish_verbatim(&request).unwrap();
-            while let Ok(Some(_)) = operator.replies.oldest() {}
+            while let Ok(Some(reply)) = operator.replies.oldest() {
+                veto = reply.veto;
+            }
         }
         // In lockstep each message has one answer.
         let twist = answer(&mut camera);
