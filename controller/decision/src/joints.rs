@@ -214,7 +214,8 @@ impl JointWatch {
         let codes = [JointFaultCode::Translation, JointFaultCode::Rotation];
         let mut all = codes.into_iter().zip(self.distances());
         // A NaN is too far.
-        let (code, [found, most]) = all.find(|(_, [found, most])| !(found <= most))?;
+        let (code, [found, most]) =
+            all.find(|(_, [found, most])| found.is_nan() || found > most)?;
         Some(JointFault {
             code,
             joint: 0,

@@ -142,7 +142,8 @@ fn what_goes_wrong_after_the_check_is_taken_as_it_was_checked() {
             .status();
         assert!(made.unwrap().success());
     };
-    let spoils: [(&dyn Fn(&Own), bool); 6] = [
+    type Spoil<'a> = (&'a dyn Fn(&Own), bool);
+    let spoils: [Spoil; 6] = [
         (&|own| own.change("nonsense"), true),
         (&|own| pipe(own, "own.toml"), true),
         (&|own| pipe(own, "vpcd.toml"), true),

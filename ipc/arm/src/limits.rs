@@ -284,7 +284,7 @@ mod tests {
         }
         let mut limits = PANDA;
         limits.0[6] = endless;
-        let [from, to] = [3.0, -3.0].map(|q| Joints::from_element(q));
+        let [from, to] = [3.0, -3.0].map(Joints::from_element);
         let way = limits.way(&from, &to);
         assert_eq!(way[5], -6.0);
         assert!((way[6] - (TAU - 6.0)).abs() < 1e-12, "{}", way[6]);

@@ -799,8 +799,8 @@ mod tests {
         );
         let [huge, _] = told(JointFaultCode::Range, 1e300);
         assert_eq!(huge, "elbow is told at 1.0e300; allowed: -2.947 to 2.947");
-        let [leap, _] = told(JointFaultCode::Leap, -6.283);
-        assert!(leap.starts_with("elbow leaps by -6.283 from"), "{leap}");
+        let [leap, _] = told(JointFaultCode::Leap, -6.25);
+        assert!(leap.starts_with("elbow leaps by -6.250 from"), "{leap}");
         let [future, same] = told(JointFaultCode::Future, 1e9);
         assert_eq!(future, same);
         assert!(

@@ -590,7 +590,7 @@ fn shifted(joint: Option<usize>, by: f64) -> Lie {
         let shift = |k: usize| match joint {
             Some(joint) => f64::from(u8::from(k == joint)),
             None => {
-                if k % 2 == 0 {
+                if k.is_multiple_of(2) {
                     1.0
                 } else {
                     -1.0

@@ -9,7 +9,7 @@ mod world;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use messages::Hold;
-use rig::{Ending, Image, Robot, Trial, drawn};
+use rig::{Ending, Image, Robot, Show, Trial, drawn};
 use scene::{Pose, Scene};
 use vpc::Strategy;
 
@@ -17,8 +17,7 @@ const RATES: [f64; 3] = [10.0, 15.0, 30.0];
 /// When a fault begins, s: the camera is under way.
 const FAULT_S: f64 = 0.6;
 
-/// What a camera sends of frame `k`, of those that it has seen so far; `None`: nothing.
-type Camera = Box<dyn Fn(usize, Image, &[Vec<[f64; 2]>]) -> Option<Image> + Sync>;
+type Camera = Box<Show>;
 
 fn good() -> Camera {
     Box::new(|_, image, _| Some(image))
@@ -318,7 +317,7 @@ fn what_is_served_is_not_held() {
         ("shaken", &|t| {
             t.own = |s| {
                 [
-                    0.05 * (6.28 * s).cos(),
+                    0.05 * (std::f64::consts::TAU * s).cos(),
                     0.0,
                     0.0,
                     0.0,

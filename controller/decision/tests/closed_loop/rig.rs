@@ -46,6 +46,9 @@ pub struct Image {
     pub visible: u32,
 }
 
+/// What a camera sends of frame `k`, of all that it has seen; `None`: nothing.
+pub type Show = dyn Fn(usize, Image, &[Vec<[f64; 2]>]) -> Option<Image> + Sync;
+
 /// A run. Times are counted from its begin, s.
 pub struct Trial<'a> {
     pub scene: Scene,
@@ -60,8 +63,7 @@ pub struct Trial<'a> {
     pub own: Own,
     /// What is wrong with the robot, from when on.
     pub robot: (Robot, f64),
-    /// What the camera sends of frame `k`, of all that it has seen; `None`: nothing.
-    pub camera: &'a (dyn Fn(usize, Image, &[Vec<[f64; 2]>]) -> Option<Image> + Sync),
+    pub camera: &'a Show,
     /// When the fault begins, s: from then on motion is counted.
     pub fault_s: f64,
     /// Whether a run ends with its arrival.

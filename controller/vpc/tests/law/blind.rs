@@ -243,7 +243,7 @@ fn one_whole_image_in_four_does_not_renew_the_budget() {
     };
     // From the third second on: 1 s of budget, of which 0.75 - 0.25 / 2 are spent in a second.
     let (begin, end) = (90, 150);
-    let hidden = |k: usize| (begin..end).contains(&k) && k % 4 != 0;
+    let hidden = |k: usize| (begin..end).contains(&k) && !k.is_multiple_of(4);
     let run = run((0, &start), REST, settings, |k| {
         if hidden(k) { 0b1110 } else { 0b1111 }
     });
