@@ -84,7 +84,7 @@ impl MemoryFile {
     /// Reads the bytes of a file, which are not verified yet.
     ///
     /// # Errors
-    /// [`OpenError::Read`]: also if it is no plain file, or larger than [`MOST_BYTES`].
+    /// [`OpenError::Read`]: also if it is no plain file, or larger than `MOST_BYTES`.
     pub fn read(path: &Path) -> Result<Vec<u8>, OpenError> {
         toml_schema::read_bytes(path, MOST_BYTES).map_err(|source| OpenError::Read {
             path: path.display().to_string(),

@@ -6,7 +6,7 @@
 //!
 //! | Symbol | Here | Meaning |
 //! |---|---|---|
-//! | q, v | [`Told`] | joints, and the camera's twist along its axes, of one message |
+//! | q, v | `Told` | joints, and the camera's twist along its axes, of one message |
 //! | J dq | `step` | the camera's way from one message to the next by the joints |
 //! | e = sum (J dq - v dt) | `apart` | difference of both motions, m and rad |
 //! | p = sum abs(v) dt | `path` | length of the reported one |

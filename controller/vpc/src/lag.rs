@@ -198,7 +198,7 @@ impl Track {
     }
 
     /// The lag, s, if it is greater than [`MOST_LAG_S`] and known: the motion is then explained
-    /// clearly better than by any lag up to [`SERVED_LAG_S`], and what these leave is more than
+    /// clearly better than by any lag up to `SERVED_LAG_S`, and what these leave is more than
     /// `noise`, the norm over all numbers and slots, and motions at `speed` of another cause, back
     /// and forth.
     pub fn late(&self, [noise, speed]: [f64; 2]) -> Option<f64> {
