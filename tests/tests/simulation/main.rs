@@ -30,46 +30,47 @@
 //! | joints that lie are refused, or disarm, `JointWatch` | `SIM_SEED=48 (JointsFrozen) joints:` | 20 of 20, also future, jump, wrapped, other |
 //!
 //! Each promise that tests in real time showed before, the property that shows it now, and the line
-//! that was seen when its mechanism was taken out of a copy (alone, or with others that these faults do not meet):
+//! that was seen when its mechanism was taken out of a copy (alone, or with others that these faults do not meet). The seeds
+//! of that time are other ones now:
 //!
 //! | promise | test before | property now | seen to fail without | line |
 //! |---|---|---|---|---|
-//! | silence brakes within 3 periods | `silence` | `silence:` of every command | `Gate::is_stale` | `SIM_SEED=5 (Silence) silence: the law's command 129 ms after it` |
-//! | so does a camera that goes back in time | `silence` | `brake:` | the order in `Gate::wrong_time` | `SIM_SEED=7 (Older) brake: the law goes on for 108 ms` |
-//! | or repeats an exposure | `silence` | `brake:` | the same `data_ns` in `Gate::wrong_time` | `SIM_SEED=0 (Freeze) brake: the law goes on for 112 ms` |
-//! | or does not count | | `brake:` | `Gate::restarted` | `SIM_SEED=16 (Uncounted) brake: the law goes on for 146 ms` |
-//! | or is in the future | | `brake:` | `FUTURE_NS` in `Gate::wrong_time` | `SIM_SEED=12 (Future) brake: the law goes on for 128 ms` |
-//! | or repeats an image | `silence` | `brake:` | `frozen::check` | `SIM_SEED=1 (Image) brake: the law goes on for 130 ms` |
-//! | with a little noise | `silence` | `cause:` | `Follow::add` | `SIM_SEED=2 (Noise) cause: Some(Lost), must be one of [NotFollowing, Frozen]` |
-//! | or shows another object | `silence` | `brake:` | `gate::check_place` | `SIM_SEED=4 (OtherAfterRestart) brake: the law goes on for 118 ms` |
-//! | or shows points in a corner or on a line | `silence` | `brake:` | `gate::check_shape` | `SIM_SEED=10 (Line) brake: the law goes on for 108 ms` |
-//! | or hides a point for more than `blind_s` | `silence` | `brake:` | the end of `Law::completed` | `SIM_SEED=8 (Hidden) brake: the law goes on for 1132 ms` |
-//! | without features it disarms | `silence` | `disarm:` | `Hold::Lost` | `SIM_SEED=0 (Freeze) disarm: not in 2279 ms: holding, Some(Stale)` |
-//! | no command jumps | `steps` | `steps:`, `brake:` | the bound in `Supervisor::braked` | `SIM_SEED=0 (Freeze) steps: 4.500 of what is allowed` |
-//! | a loop that is late again and again disarms | `failures` | `brake:` | `Hold::Overruns` | `SIM_SEED=32 (LateLoop) brake: the law goes on for 438 ms` |
-//! | one late cycle is forgiven | `failures` | `goes on:` | `OVERRUN * IN_A_ROW` | `SIM_SEED=31 (LateOnce) goes on: disarmed, Some(Overruns)` |
-//! | a law without an answer disarms | `failures` | `cause:` | the third failure in `Supervisor::response` | `SIM_SEED=19 (NoAnswer) cause: Some(Lost), must be one of [Solver]` |
-//! | a standstill of the loop disarms | `hang` | `brake:` | `Hold::Standstill` | `SIM_SEED=28 (Hang) brake: the law goes on for 110 ms` |
-//! | so does a suspended machine | | `brake:` | `Situation::suspended` | `SIM_SEED=29 (Suspend) brake: the law goes on for 133 ms` |
-//! | and a clock that goes back | | `cause:` | `Hold::Clock` | `SIM_SEED=30 (ClockBack) cause: Some(Standstill), must be one of [Clock]` |
-//! | the robot stands 100 ms after the last command | `hang` | `rest:`, `dead man:` | `TwistCommand::in_force` | `SIM_SEED=26 (Crash) dead man: it moves 2 ms after the end of the last command` |
-//! | an arm that waited is refused | | `late requests:` | `cycle::is_late` | `SIM_SEED=28 (Hang) late requests: Some(Done)` |
-//! | a crash begins disarmed | `consent` | `restart:` | `Supervisor::begin_disarmed` | `SIM_SEED=26 (Crash) restart: holding (Some(Stale))` |
-//! | an armed start waits 5 s | `consent` | `unasked:` | `Supervisor::has_waited` | `SIM_SEED=46 (ArmedAlone) unasked: it moves` |
-//! | a loop of `arm` does not undo a stop | `consent` | `consent:` | the name in `Supervisor::arm` | `SIM_SEED=38 (StopAgainstArm) consent: armed by the name 0, veto 3 stands` |
-//! | after a reload the veto is the same | | `consent:` | `Supervisor::begin_again` | `SIM_SEED=35 (Reload) consent: veto 3 stands, 0 is told` |
-//! | a stop is zero in its cycle | `stop`, `hands`, `daemon process` | `stop:` | `Action::Stop` | `SIM_SEED=36 (Stop) stop: another command in its cycle` |
-//! | so is any hand on the stop file | `hands` | `stop:` | the file's place in `StopFile::is_asked` | `SIM_SEED=541 (StopFile) stop: none after 114 ms` |
-//! | and no arm counts before that zero | | `stop:` | `Veto::is_fresh` in `Supervisor::arm` | `SIM_SEED=86 (Stop) stop: another command in its cycle: Some(Moving)` |
-//! | a disarm brakes | `daemon process` | `unasked:` | `Action::Disarm` | `SIM_SEED=42 (Disarm) unasked: it goes on after a disarm` |
-//! | SIGTERM brakes, then zero | `shutdown` | `end:` | `Hold::Shutdown` | `SIM_SEED=34 (Terminate) end: the last word is a jump to zero` |
-//! | nothing moves before a robot is heard | `daemon process` | `no robot:` | `Hold::NoRobot` | `SIM_SEED=25 (RobotUnheard) no robot: arm is answered Some(Done)` |
-//! | a silent robot disarms | `daemon process` | `brake:` | `Hold::RobotLost` | `SIM_SEED=20 (RobotSilent) brake: the law goes on for 425 ms` |
-//! | a faulty robot is a stop | `daemon process` | `brake:` | `Hold::RobotFault` | `SIM_SEED=22 (RobotFault) brake: the law goes on for 122 ms` |
-//! | one that does something else disarms | `daemon process` | `brake:` | `Hold::NotFollowed` | `SIM_SEED=23 (RobotStrays) brake: the law goes on for 411 ms` |
-//! | a blocked arm disarms | `follow` | `disarm:` | `Follow::add` | `SIM_SEED=24 (RobotBlocked) end: none after a minute` |
-//! | a silent policy brakes | `guardian` | `guardian:` | the end of a wish in `ControlStep::want` | `SIM_SEED=47 (Guardian) guardian: it moves 506 ms after the program` |
-//! | a replay repeats the records | `guardian` | `replay:` | what a request names, in `replay` | `SIM_SEED=48 (Storm) replay: cycle 54: reply.named differs` |
+//! | silence brakes within 3 periods | `silence` | `silence:` of every command | `Gate::is_stale` | `(Silence) silence: the law's command 129 ms after it` |
+//! | so does a camera that goes back in time | `silence` | `brake:` | the order in `Gate::wrong_time` | `(Older) brake: the law goes on for 108 ms` |
+//! | or repeats an exposure | `silence` | `brake:` | the same `data_ns` in `Gate::wrong_time` | `(Freeze) brake: the law goes on for 112 ms` |
+//! | or does not count | | `brake:` | `Gate::restarted` | `(Uncounted) brake: the law goes on for 146 ms` |
+//! | or is in the future | | `brake:` | `FUTURE_NS` in `Gate::wrong_time` | `(Future) brake: the law goes on for 128 ms` |
+//! | or repeats an image | `silence` | `brake:` | `frozen::check` | `(Image) brake: the law goes on for 130 ms` |
+//! | with a little noise | `silence` | `cause:` | `Follow::add` | `(Noise) cause: Some(Lost), must be one of [NotFollowing, Frozen]` |
+//! | or shows another object | `silence` | `brake:` | `gate::check_place` | `(OtherAfterRestart) brake: the law goes on for 118 ms` |
+//! | or shows points in a corner or on a line | `silence` | `brake:` | `gate::check_shape` | `(Line) brake: the law goes on for 108 ms` |
+//! | or hides a point for more than `blind_s` | `silence` | `brake:` | the end of `Law::completed` | `(Hidden) brake: the law goes on for 1132 ms` |
+//! | without features it disarms | `silence` | `disarm:` | `Hold::Lost` | `(Freeze) disarm: not in 2279 ms: holding, Some(Stale)` |
+//! | no command jumps | `steps` | `steps:`, `brake:` | the bound in `Supervisor::braked` | `(Freeze) steps: 4.500 of what is allowed` |
+//! | a loop that is late again and again disarms | `failures` | `brake:` | `Hold::Overruns` | `(LateLoop) brake: the law goes on for 438 ms` |
+//! | one late cycle is forgiven | `failures` | `goes on:` | `OVERRUN * IN_A_ROW` | `(LateOnce) goes on: disarmed, Some(Overruns)` |
+//! | a law without an answer disarms | `failures` | `cause:` | the third failure in `Supervisor::response` | `(NoAnswer) cause: Some(Lost), must be one of [Solver]` |
+//! | a standstill of the loop disarms | `hang` | `brake:` | `Hold::Standstill` | `(Hang) brake: the law goes on for 110 ms` |
+//! | so does a suspended machine | | `brake:` | `Situation::suspended` | `(Suspend) brake: the law goes on for 133 ms` |
+//! | and a clock that goes back | | `cause:` | `Hold::Clock` | `(ClockBack) cause: Some(Standstill), must be one of [Clock]` |
+//! | the robot stands 100 ms after the last command | `hang` | `rest:`, `dead man:` | `TwistCommand::in_force` | `(Crash) dead man: it moves 2 ms after the end of the last command` |
+//! | an arm that waited is refused | | `late requests:` | `cycle::is_late` | `(Hang) late requests: Some(Done)` |
+//! | a crash begins disarmed | `consent` | `restart:` | `Supervisor::begin_disarmed` | `(Crash) restart: holding (Some(Stale))` |
+//! | an armed start waits 5 s | `consent` | `unasked:` | `Supervisor::has_waited` | `(ArmedAlone) unasked: it moves` |
+//! | a loop of `arm` does not undo a stop | `consent` | `consent:` | the name in `Supervisor::arm` | `(StopAgainstArm) consent: armed by the name 0, veto 3 stands` |
+//! | after a reload the veto is the same | | `consent:` | `Supervisor::begin_again` | `(Reload) consent: veto 3 stands, 0 is told` |
+//! | a stop is zero in its cycle | `stop`, `hands`, `daemon process` | `stop:` | `Action::Stop` | `(Stop) stop: another command in its cycle` |
+//! | so is any hand on the stop file | `hands` | `stop:` | the file's place in `StopFile::is_asked` | `(StopFile) stop: none after 114 ms` |
+//! | and no arm counts before that zero | | `stop:` | `Veto::is_fresh` in `Supervisor::arm` | `(Stop) stop: another command in its cycle: Some(Moving)` |
+//! | a disarm brakes | `daemon process` | `unasked:` | `Action::Disarm` | `(Disarm) unasked: it goes on after a disarm` |
+//! | SIGTERM brakes, then zero | `shutdown` | `end:` | `Hold::Shutdown` | `(Terminate) end: the last word is a jump to zero` |
+//! | nothing moves before a robot is heard | `daemon process` | `no robot:` | `Hold::NoRobot` | `(RobotUnheard) no robot: arm is answered Some(Done)` |
+//! | a silent robot disarms | `daemon process` | `brake:` | `Hold::RobotLost` | `(RobotSilent) brake: the law goes on for 425 ms` |
+//! | a faulty robot is a stop | `daemon process` | `brake:` | `Hold::RobotFault` | `(RobotFault) brake: the law goes on for 122 ms` |
+//! | one that does something else disarms | `daemon process` | `brake:` | `Hold::NotFollowed` | `(RobotStrays) brake: the law goes on for 411 ms` |
+//! | a blocked arm disarms | `follow` | `disarm:` | `Follow::add` | `(RobotBlocked) end: none after a minute` |
+//! | a silent policy brakes | `guardian` | `guardian:` | the end of a wish in `ControlStep::want` | `(Guardian) guardian: it moves 506 ms after the program` |
+//! | a replay repeats the records | `guardian` | `replay:` | what a request names, in `replay` | `(Storm) replay: cycle 54: reply.named differs` |
 //! | a rehearsal changes nothing | | same hash | `standing` in `ControlStep::restore` | `a rehearsal changes it` |
 
 mod camera;
