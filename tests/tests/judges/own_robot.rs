@@ -10,12 +10,14 @@ use testkit::{Place, Running, ended, eventually, program, root, scene_file, star
 fn the_bridge_to_copy_reaches_the_goal_without_a_reflex() {
     let _turn = turn();
     let place = Place::new();
+    // Built first: an armed start waits 5 s for its robot.
+    let bridge = program("examples/own_robot");
     let mut vpcd = testkit::command(program("vpcd"));
     vpcd.arg("--scene")
         .arg(root().join("ipc/scene/scenes/paper-robot.toml"));
     vpcd.arg("--arm").arg("--domain").arg(place.domain());
     let vpcd = Running::start(vpcd.stdout(Stdio::null()).stderr(Stdio::null()));
-    let mut bridge = testkit::command(program("examples/own_robot"));
+    let mut bridge = testkit::command(bridge);
     let said = ended(bridge.arg(place.domain()).arg("60"));
     drop(vpcd);
 

@@ -19,15 +19,21 @@
 //! What is not shown here are the ports, files and clocks of [`controller::machine`], real time,
 //! and lockstep: `cargo test --test daemon` and `cargo xtask measure` show them.
 //!
-//! Mends of the fourth attack, and what was found when they were taken out (of one copy), within
-//! the first 912 or 2,000 seeds:
+//! Mends of the fourth attack: what 2,000 seeds found first when each was taken out of this commit,
+//! one by one:
 //!
-//! | mend taken out | found | broken runs of its fault |
-//! |---|---|--:|
-//! | an operator's disarm is a veto, `Supervisor::request` | `SIM_SEED=88 (VisitDisarm) consent:` | 18 of 20 |
-//! | a change between `follow` and a goal disarms, `ControlStep::change` | `SIM_SEED=85 (ToGoal) unasked:` | 20 of 20 |
-//! | a visit takes up no other limits, `SceneFiles::differences` | `SIM_SEED=90 (VisitForeign) cell:` | 16 of 20 |
-//! | joints that lie are refused, or disarm, `JointWatch` | `SIM_SEED=48 (JointsFrozen) joints:` | 20 of 20, also future, jump, wrapped, other |
+//! | mend taken out | found |
+//! |---|---|
+//! | an operator's disarm is a veto, `Supervisor::request` | `SIM_SEED=77 (StopInBrake) consent:`, `80 (Disarm)`, `86 (VisitDisarm)` |
+//! | a change between `follow` and a goal disarms, `ControlStep::change` | `SIM_SEED=84 (ToGoal) unasked:`, `82 (ToFollow) disarm:` |
+//! | a visit takes up no other limits, `SceneFiles::differences` | `SIM_SEED=89 (VisitForeign) cell:` |
+//! | *joints do not follow*, `JointWatch::hold` | `SIM_SEED=46 (JointsFrozen) joints:`, `49 (JointsJump)`, `52 (JointsOther)` |
+//! | *image moves more than commanded*, `Follow::check_gain` | `SIM_SEED=229 (RobotFast) brake:` |
+//! | *robot is late*, `RobotWatch::look` | not found: the image's own watch ends most of these runs |
+//! | hidden time is a budget, predicted points are not seen | not found within the 2 s that a run may take; `--test closed_loop` bounds its way |
+//!
+//! `Fault::LateFresh`, images that are late and stamped fresh, is awaited: some of its runs swing at
+//! the limits for more than the 1.5 s that would be asked of them.
 //!
 //! Each promise that tests in real time showed before, the property that shows it now, and the line
 //! that was seen when its mechanism was taken out of a copy (alone, or with others that these faults do not meet). The seeds
