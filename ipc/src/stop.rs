@@ -7,15 +7,17 @@
 //! | 32 to 63 | the controller | the stop that it obeyed, once the zero twist is sent |
 //!
 //! The controller leaves the file with both halves equal and with [`OBEYED_AT`] as its time of last
-//! change. It writes its own half alone, so that a stop that is asked for meanwhile stays so. Anything else at this path is a stop: other bytes, another length, another time (so the
+//! change. It writes its own half alone, so that a stop that is asked for meanwhile stays so. Anything
+//! else at this path is a stop: other bytes, another length, another time (so the
 //! same words twice, or `touch`), another file, none. The controller looks in each cycle, after the
 //! requests of operators, so that a stop wins over an `arm` of the same cycle. A stop that was
 //! asked for while no controller ran is obeyed by the next one. The file is read and not mapped: a
 //! shell's `>` truncates it, and a mapping would end in SIGBUS then.
 
-use std::ffi::CString;
+use std::ffi::{CStr, CString};
 use std::fs::{File, OpenOptions};
 use std::io;
+use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
@@ -116,15 +118,17 @@ impl StopFile {
     /// nor waits. Also true where the file cannot be read, or the domain's path leads to another
     /// one or to none: nobody could stop any more.
     pub fn is_asked(&mut self) -> bool {
+        let at_path = place(&self.path);
         // The time first: what changes afterwards is newer.
-        let (Ok((found, changed, length)), Ok((asked, obeyed))) =
-            (place(&self.path), read(&self.file))
+        let (Ok((_, changed, length)), Ok((asked, obeyed))) = (of(&self.file), read(&self.file))
         else {
             return true;
         };
+        // Also where the file was moved: who asks there is answered.
         (self.asked, self.changed) = (asked, changed);
+        let is_in_place = at_path.is_ok_and(|(found, ..)| found == self.place);
         let is_as_left = changed == OBEYED_AT && length == BOTH as u64;
-        found != self.place || !is_as_left || obeyed != Some(asked)
+        !is_in_place || !is_as_left || obeyed != Some(asked)
     }
 
     /// Acknowledges what [`StopFile::is_asked`] saw: the zero twist is sent. Where that cannot be
@@ -135,7 +139,7 @@ impl StopFile {
     }
 
     fn write_obeyed(&self) -> io::Result<()> {
-        let changed = place(&self.path)?.1;
+        let (_, changed, _) = of(&self.file)?;
         self.file.write_all_at(&self.asked, HALF as u64)?;
         self.file.set_len(BOTH as u64)?;
         if changed != self.changed {
@@ -155,12 +159,24 @@ impl StopFile {
 /// A time of last change: s since 1970, and ns.
 type Time = (i64, u32);
 
-/// Of what is at a path: device and inode, time of the last change, length. Asks no server where the
-/// file system has one.
-fn place(path: &CString) -> io::Result<((u32, u32, u64), Time, u64)> {
-    let flags = AtFlags::SYMLINK_NOFOLLOW | AtFlags::STATX_DONT_SYNC;
+/// Of a file: device and inode, time of the last change, length.
+type Found = ((u32, u32, u64), Time, u64);
+
+/// What is at a path.
+fn place(path: &CStr) -> io::Result<Found> {
+    look(CWD, path, AtFlags::SYMLINK_NOFOLLOW)
+}
+
+/// The same of an open file, wherever it is.
+fn of(file: &File) -> io::Result<Found> {
+    look(file.as_fd(), c"", AtFlags::EMPTY_PATH)
+}
+
+/// Asks no server where the file system has one.
+fn look(at: BorrowedFd, path: &CStr, how: AtFlags) -> io::Result<Found> {
+    let flags = how | AtFlags::STATX_DONT_SYNC;
     let wanted = StatxFlags::INO | StatxFlags::MTIME | StatxFlags::SIZE;
-    let found = statx(CWD, path, flags, wanted)?;
+    let found = statx(at, path, flags, wanted)?;
     let changed = (found.stx_mtime.tv_sec, found.stx_mtime.tv_nsec);
     let device = (found.stx_dev_major, found.stx_dev_minor);
     let place = (device.0, device.1, found.stx_ino);
@@ -397,6 +413,19 @@ mod tests {
         assert!(!second.is_obeyed().unwrap() && controller.is_asked());
         controller.obey();
         assert!(second.is_obeyed().unwrap());
+    }
+
+    #[test]
+    fn who_asks_in_a_domain_that_was_moved_is_answered() {
+        let place = tempfile::tempdir().unwrap();
+        let [here, there] = ["here", "there"].map(|name| place.path().join(name));
+        std::fs::create_dir(&here).unwrap();
+        let mut controller = StopFile::open(&here).unwrap();
+        std::fs::rename(&here, &there).unwrap();
+        let asked = Asked::in_domain(&there).unwrap();
+        assert!(controller.is_asked());
+        controller.obey();
+        assert!(asked.is_obeyed().unwrap() && controller.is_asked());
     }
 
     #[test]

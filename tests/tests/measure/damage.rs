@@ -56,7 +56,9 @@ pub fn measure(sheet: &mut Sheet) {
 
 fn segments() -> BTreeSet<PathBuf> {
     let files = std::fs::read_dir("/dev/shm").unwrap();
-    files.map(|file| file.unwrap().path()).collect()
+    let paths = files.map(|file| file.unwrap().path());
+    // Other programs have directories there.
+    paths.filter(|path| !path.is_dir()).collect()
 }
 
 /// An operator comes, and its memory is damaged: how the daemon took it, and how long after its last
