@@ -44,11 +44,12 @@ pub fn measurement(features: &Features, effective_ns: u64) -> Measurement {
     measurement
 }
 
-/// When the features with this head were exposed, or the latest instant that this may have been.
-pub fn exposed_ns(features: &Stamp) -> u64 {
-    match features.data_ns {
+/// When what a message with this head tells was measured, or the latest instant that this may have
+/// been.
+pub fn exposed_ns(stamp: &Stamp) -> u64 {
+    match stamp.data_ns {
         // Unknown: not later than the publication.
-        0 => features.published_ns,
+        0 => stamp.published_ns,
         data_ns => data_ns,
     }
 }

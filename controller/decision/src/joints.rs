@@ -22,6 +22,7 @@ use arm::{Arm, JOINTS, Joints, Limits};
 use messages::{FUTURE_NS, Hold, JointFault, JointFaultCode, RobotMode, RobotState};
 use serde::{Deserialize, Serialize};
 
+use crate::contract;
 use crate::rules::Rules;
 
 /// How far outside its range a joint may be told, rad or m: zero points and ranges of a data sheet
@@ -101,11 +102,7 @@ impl JointWatch {
         let told = Told {
             q: arm::joints(q.unwrap_or_default()).into(),
             twist: state.twist,
-            at_ns: match state.stamp.data_ns {
-                // Unknown: not later than the publication.
-                0 => state.stamp.published_ns,
-                data_ns => data_ns,
-            },
+            at_ns: contract::exposed_ns(&state.stamp),
         };
         self.refused = None;
         if state.joints as usize != count {

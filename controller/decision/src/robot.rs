@@ -5,6 +5,7 @@ use messages::{Hold, RobotFaults, RobotMode, RobotState};
 use serde::{Deserialize, Serialize};
 use vpc::lag::{self, Displacement, Track};
 
+use crate::contract;
 use crate::input::Input;
 use crate::rules::Rules;
 
@@ -122,11 +123,7 @@ impl RobotWatch {
         now_ns: u64,
         commanded: impl Fn(u64, u64) -> [f64; 6],
     ) {
-        let at_ns = match state.stamp.data_ns {
-            0 => state.stamp.published_ns,
-            data_ns => data_ns,
-        }
-        .min(now_ns);
+        let at_ns = contract::exposed_ns(&state.stamp).min(now_ns);
         let before = self.report.replace((state.twist, at_ns));
         let before = before
             .filter(|&(_, from_ns)| !self.is_idle && from_ns < at_ns && at_ns - from_ns < GAP_NS);
