@@ -118,15 +118,15 @@ impl StopFile {
     /// nor waits. Also true where the file cannot be read, or the domain's path leads to another
     /// one or to none: nobody could stop any more.
     pub fn is_asked(&mut self) -> bool {
-        let at_path = place(&self.path);
+        let in_place = place(&self.path).ok().filter(|found| found.0 == self.place);
+        let is_in_place = in_place.is_some();
+        // Where the file was moved, who asks there is answered, too.
+        let found = in_place.map_or_else(|| of(&self.file), Ok);
         // The time first: what changes afterwards is newer.
-        let (Ok((_, changed, length)), Ok((asked, obeyed))) = (of(&self.file), read(&self.file))
-        else {
+        let (Ok((_, changed, length)), Ok((asked, obeyed))) = (found, read(&self.file)) else {
             return true;
         };
-        // Also where the file was moved: who asks there is answered.
         (self.asked, self.changed) = (asked, changed);
-        let is_in_place = at_path.is_ok_and(|(found, ..)| found == self.place);
         let is_as_left = changed == OBEYED_AT && length == BOTH as u64;
         !is_in_place || !is_as_left || obeyed != Some(asked)
     }
