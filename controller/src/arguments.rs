@@ -61,8 +61,8 @@ pub struct Arguments {
     #[arg(long)]
     pub arm: bool,
 
-    /// After a SIGUSR2 vpcd begins itself again with this: disarmed, whatever else is said, under the
-    /// operator's stop or disarm of this name, if one stood.
+    /// After a SIGUSR2 vpcd begins itself again with this: disarmed, whatever else is said, under
+    /// the operator's stop or disarm of this name, if one stood.
     #[arg(long, value_name = "VETO", hide = true)]
     pub again: Option<u32>,
 

@@ -31,10 +31,10 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// A stop flag that the signals which end the daemon set. Repeating them changes nothing: an impatient
-    /// operator must not cut a controlled stop short. SIGQUIT and SIGKILL end a daemon that does
-    /// not stop. Until [`StartUp`] is dropped the signals end the process, which has moved nothing
-    /// yet.
+    /// A stop flag that the signals which end the daemon set. Repeating them changes nothing: an
+    /// impatient operator must not cut a controlled stop short. SIGQUIT and SIGKILL end a daemon
+    /// that does not stop. Until [`StartUp`] is dropped the signals end the process, which has
+    /// moved nothing yet.
     ///
     /// # Errors
     /// If the operating system refuses the handlers.

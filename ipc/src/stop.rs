@@ -7,9 +7,9 @@
 //! | 32 to 63 | the controller | the stop that it obeyed, once the zero twist is sent |
 //!
 //! The controller leaves the file with both halves equal and with [`OBEYED_AT`] as its time of last
-//! change. It writes its own half alone, so that a stop that is asked for meanwhile stays so. Anything
-//! else at this path is a stop: other bytes, another length, another time (so the
-//! same words twice, or `touch`), another file, none. The controller looks in each cycle, after the
+//! change. It writes its own half alone, so that a stop that is asked for meanwhile stays so.
+//! Anything else at this path is a stop: other bytes, another length, another time (so the same
+//! words twice, or `touch`), another file, none. The controller looks in each cycle, after the
 //! requests of operators, so that a stop wins over an `arm` of the same cycle. A stop that was
 //! asked for while no controller ran is obeyed by the next one. The file is read and not mapped: a
 //! shell's `>` truncates it, and a mapping would end in SIGBUS then.
@@ -61,8 +61,8 @@ impl StopFile {
     /// room on the disk, so that a stop needs none.
     ///
     /// # Errors
-    /// [`StopError::File`] if it cannot be used, is no plain file, has another name (a hard link) or
-    /// is another user's, or if the disk has no room for it.
+    /// [`StopError::File`] if it cannot be used, is no plain file, has another name (a hard link)
+    /// or is another user's, or if the disk has no room for it.
     pub fn open(directory: &Path) -> Result<Self, StopError> {
         let path = directory.join(STOP_FILE);
         let refuse = |source| StopError::File {
@@ -207,9 +207,9 @@ pub struct Asked {
 
 impl Asked {
     /// Asks for a stop in the domain of this directory, which need not be joined. Does not wait.
-    /// Where the file cannot be written, as on a full disk that copies on write, or beyond the limit
-    /// on the size of files (`ulimit -f`), it is emptied, and where that fails, removed: both are
-    /// stops.
+    /// Where the file cannot be written, as on a full disk that copies on write, or beyond the
+    /// limit on the size of files (`ulimit -f`), it is emptied, and where that fails, removed: both
+    /// are stops.
     ///
     /// # Errors
     /// [`StopError::File`] if there is no such file, or nothing of it may be changed.

@@ -92,7 +92,8 @@ impl MemoryFile {
         })
     }
 
-    /// As [`MemoryFile::open`], of the bytes of a file that was read before; `path` is for messages.
+    /// As [`MemoryFile::open`], of the bytes of a file that was read before; `path` is for
+    /// messages.
     ///
     /// # Errors
     /// As [`MemoryFile::open`].

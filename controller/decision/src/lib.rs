@@ -4,8 +4,8 @@
 //!
 //! Without `std` there is no clock, no file, no thread and no environment here: the compiler keeps
 //! the function pure. The time is an argument. [`ControlStep::decide`] calls, in this order, the
-//! watches of the robot ([`robot`], [`joints`]), the [`gate`], the law ([`law`], [`contract`]) and the
-//! [`supervisor`]. Each module uses only those above it:
+//! watches of the robot ([`robot`], [`joints`]), the [`gate`], the law ([`law`], [`contract`]) and
+//! the [`supervisor`]. Each module uses only those above it:
 //!
 //! - [`rules`]: limits and times, from scene and settings
 //! - [`input`]: what a cycle received

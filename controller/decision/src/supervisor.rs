@@ -15,9 +15,9 @@
 //! - *Brake, and stand or disarm*: it has arrived, and is not to follow.
 //!
 //! Each list begins with its gravest hold. A start that begins armed disarms if camera and robot
-//! do not come within 5 s. Features are *lost* if the law could use none for [`Rules::lost_ns`]; where
-//! that is for want of the arm's joints, it disarms for them.
-//! After a response the law's twist is taken up again as steeply as it is braked, and no more so.
+//! do not come within 5 s. Features are *lost* if the law could use none for [`Rules::lost_ns`];
+//! where that is for want of the arm's joints, it disarms for them. After a response the law's
+//! twist is taken up again as steeply as it is braked, and no more so.
 
 use messages::{Action, Hold, Outcome, TwistState};
 use serde::{Deserialize, Serialize};

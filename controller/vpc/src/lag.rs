@@ -7,8 +7,9 @@
 //! | g | `gain` | least-squares gain of d over c(l), in [1/2, 2] |
 //! | V(l) | `misfit` | sum over the slots of abs(d_k - g c_k(l))^2 |
 //!
-//! A robot may have a low-pass filter instead: c is then what that makes of the commands. d and c are taken without their mean velocities over the window: a steady motion tells no lag,
-//! and an object that moves steadily does not hide one. The lag is where V is least.
+//! A robot may have a low-pass filter instead: c is then what that makes of the commands. d and c
+//! are taken without their mean velocities over the window: a steady motion tells no lag, and an
+//! object that moves steadily does not hide one. The lag is where V is least.
 #![expect(
     clippy::indexing_slicing,
     reason = "a dense kernel: indices run over the lags, of a constant count"
@@ -160,9 +161,9 @@ impl Track {
         self.between(&told, at(slots), at(0))
     }
 
-    /// Over the single steps in the newest `slots`: the norm of what was measured; the greatest norm
-    /// of what was commanded in these, or in as many that end up to so many slots earlier; and the
-    /// number of steps.
+    /// Over the single steps in the newest `slots`: the norm of what was measured; the greatest
+    /// norm of what was commanded in these, or in as many that end up to so many slots earlier; and
+    /// the number of steps.
     pub fn norms(&self, slots: usize) -> ([f64; 2], f64) {
         let sum = |skipped: usize, of: fn(&Steps) -> f64| -> f64 {
             let used = self.slots.iter().skip(skipped).take(slots);

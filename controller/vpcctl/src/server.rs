@@ -45,7 +45,8 @@ const GRACE: Duration = Duration::from_millis(100);
 /// Most that are being answered, commands not counted.
 const ANSWERED: usize = 32;
 
-/// Fewest files that may be open: with as many, a thousand idle clients delay a command by a second.
+/// Fewest files that may be open: with as many, a thousand idle clients delay a command by a
+/// second.
 const DESCRIPTORS: u64 = 128;
 
 /// Headers of every response: nothing is loaded from elsewhere, framed or kept.
@@ -74,8 +75,8 @@ pub fn allow(address: SocketAddr, expose: bool, control: bool) -> Result<(), Fai
     Err(Failure::new(Exit::Usage, message))
 }
 
-/// Checks that idle clients cannot keep a stop waiting: each has its time, and those for which there
-/// is no descriptor wait for the others.
+/// Checks that idle clients cannot keep a stop waiting: each has its time, and those for which
+/// there is no descriptor wait for the others.
 ///
 /// # Errors
 /// [`Exit::Unavailable`] with what is allowed.

@@ -65,8 +65,8 @@ pub struct TeachArguments {
     #[arg(long, conflicts_with_all = ["output", "scene", "build", "force"])]
     pub replace: bool,
 
-    /// With --replace: take up what the daemon's scene file says otherwise in this key or table than
-    /// when the daemon read it; may be repeated.
+    /// With --replace: take up what the daemon's scene file says otherwise in this key or table
+    /// than when the daemon read it; may be repeated.
     #[arg(long, value_name = "KEY", requires = "replace")]
     pub accept: Vec<String>,
 

@@ -163,8 +163,8 @@ codes! {
         /// What the robot says it carries out is late after the commands, by `lag_s`: more than the
         /// control law stands.
         RobotLate = 34 => "robot is late",
-        /// The image moves late after the commands, by `lag_s`: more than the control law stands. The
-        /// robot carries them out late, or `data_ns` is later than the exposure.
+        /// The image moves late after the commands, by `lag_s`: more than the control law stands.
+        /// The robot carries them out late, or `data_ns` is later than the exposure.
         ImageLate = 35 => "image is late",
         /// The image moves more than twice as far as commanded.
         ImageExceeds = 36 => "image moves more than commanded",
@@ -293,8 +293,8 @@ pub struct JointFault {
     pub code: JointFaultCode,
     /// Index of the joint, base to flange, from 0; 0 where the fault is of none.
     pub joint: u32,
-    /// The joint's position or change, rad or m; how far the stamp is ahead, s; or the difference of
-    /// both motions of the camera, m or rad.
+    /// The joint's position or change, rad or m; how far the stamp is ahead, s; or the difference
+    /// of both motions of the camera, m or rad.
     pub found: f64,
     /// The least and the greatest value allowed.
     pub allowed: [f64; 2],
@@ -609,8 +609,9 @@ message! {
         joint_fault: u32 [code(JointFaultCode)],
         /// Index of the joint that it is of, base to flange, from 0.
         joint_fault_index: u32,
-        /// The position of that joint or its change, rad or m; how far the stamp is ahead, s; or the
-        /// difference of the camera's motions by the joints and by the reported twist, m or rad.
+        /// The position of that joint or its change, rad or m; how far the stamp is ahead, s; or
+        /// the difference of the camera's motions by the joints and by the reported twist, m or
+        /// rad.
         joint_fault_found: f64,
         /// The least and the greatest value allowed.
         joint_fault_allowed: [f64; 2],

@@ -12,8 +12,8 @@ use tracing_subscriber::EnvFilter;
 
 use crate::{Exit, ignore};
 
-/// What every program does first: a write beyond the limit on the size of files (`ulimit -f`) fails,
-/// as on a full disk, instead of ending the program.
+/// What every program does first: a write beyond the limit on the size of files (`ulimit -f`)
+/// fails, as on a full disk, instead of ending the program.
 pub fn begin() {
     // There is such a signal, and it can be ignored.
     let _ = ignore(SIGXFSZ);

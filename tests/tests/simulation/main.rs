@@ -9,7 +9,7 @@
 //!
 //! ```sh
 //! cargo test --test simulation                               # 2,000 runs
-//! cargo xtask simulate --seeds 100000                        # that many, and what each promise saw
+//! cargo xtask simulate --seeds 100000                       # that many, and what each promise saw
 //! SIM_SEED=204 cargo test --test simulation -- --nocapture   # one run, told line by line
 //! ```
 //!
@@ -32,12 +32,12 @@
 //! | *robot is late*, `RobotWatch::look` | not found: the image's own watch ends most of these runs |
 //! | hidden time is a budget, predicted points are not seen | not found within the 2 s that a run may take; `--test closed_loop` bounds its way |
 //!
-//! `Fault::LateFresh`, images that are late and stamped fresh, is awaited: some of its runs swing at
-//! the limits for more than the 1.5 s that would be asked of them.
+//! `Fault::LateFresh`, images that are late and stamped fresh, is not judged yet: some of its runs
+//! swing at the limits for more than the 1.5 s that would be asked of them.
 //!
 //! Each promise that tests in real time showed before, the property that shows it now, and the line
-//! that was seen when its mechanism was taken out of a copy (alone, or with others that these faults do not meet). The seeds
-//! of that time are other ones now:
+//! that was seen when its mechanism was taken out of a copy (alone, or with others that these
+//! faults do not meet). The seeds of that time are other ones now:
 //!
 //! | promise | test before | property now | seen to fail without | line |
 //! |---|---|---|---|---|

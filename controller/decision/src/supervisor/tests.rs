@@ -456,9 +456,9 @@ fn a_disarm_after_a_stop_stays_a_stop() {
     assert_ne!(bench.veto(), stop);
 }
 
-/// A change of goals by `vpcctl visit`: the daemon ends by SIGHUP, another begins again, and `visit`
-/// asks it for `arm` until it is answered. Returns whether the camera moves, later than a brake
-/// takes after an operator's disarm at this instant was confirmed.
+/// A change of goals by `vpcctl visit`: the daemon ends by SIGUSR2, another begins again, and
+/// `visit` asks it for `arm` until it is answered. Returns whether the camera moves, later than a
+/// brake takes after an operator's disarm at this instant was confirmed.
 fn visited(disarm_ns: u64) -> bool {
     const HANGUP_NS: u64 = 200 * MS;
     const GONE_NS: u64 = 300 * MS;

@@ -1,5 +1,5 @@
-//! A late or too fast robot, a late image and an image that lies are found by name, in virtual time,
-//! at 10, 15 and 30 Hz; what is served is not held. With `VPC_LONG=1` from more starts.
+//! A late or too fast robot, a late image and an image that lies are found by name, in virtual
+//! time, at 10, 15 and 30 Hz; what is served is not held. With `VPC_LONG=1` from more starts.
 
 mod rig;
 #[expect(dead_code, reason = "the law's tests use the rest")]
@@ -260,8 +260,8 @@ fn some_lost(k: usize, image: Image, _: &[Vec<[f64; 2]>]) -> Option<Image> {
     (k * 7 % 10 >= 2).then_some(image)
 }
 
-/// Frames, robots and patterns that are served: from the fixed starts, and from unseen ones in other
-/// scenes.
+/// Frames, robots and patterns that are served: from the fixed starts, and from unseen ones in
+/// other scenes.
 #[test]
 fn what_is_served_is_not_held() {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/scenes/");

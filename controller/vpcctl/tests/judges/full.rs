@@ -1,5 +1,5 @@
-//! A full `/dev/shm`, or a full disk of the domain: whoever would write to it says so instead of dying
-//! by SIGBUS, and the stop works.
+//! A full `/dev/shm`, or a full disk of the domain: whoever would write to it says so instead of
+//! dying by SIGBUS, and the stop works.
 
 use std::path::PathBuf;
 
@@ -22,8 +22,8 @@ wait $daemon
 echo "daemon: $?"
 "#;
 
-/// What the programs say while what is mounted here, of this size, is full; nothing where that cannot
-/// be tried.
+/// What the programs say while what is mounted here, of this size, is full; nothing where that
+/// cannot be tried.
 fn said(test: &str, mounted: impl Fn(&Place) -> PathBuf, size: &str) -> Option<String> {
     // A mount of its own needs it.
     if !testkit::is_root(test) || !testkit::are_installed(test, &["unshare"]) {

@@ -950,9 +950,9 @@ vpc_status vpc_operator_ask(vpc_operator *operator_,
 // disarmed it since it was last armed; vpc_arm_despite.
 vpc_status vpc_arm(vpc_operator *operator_, vpc_reply *out);
 
-// Arms in spite of a stop or a disarm, the `veto` of a reply or a cycle that the operator has seen.
-// Refused if another came since. A program that arms by itself names the one that stood when it
-// was started.
+// Arms in spite of a stop or a disarm, the `veto` of a reply or a cycle that the operator has
+// seen. Refused if another came since. A program that arms by itself names the one that stood when
+// it was started.
 vpc_status vpc_arm_despite(vpc_operator *operator_, uint32_t veto, vpc_reply *out);
 
 // Brakes to zero and stays there until the next vpc_arm; waits for the answer, at most a second.

@@ -106,9 +106,9 @@ pub unsafe extern "C" fn vpc_arm(operator: *mut Operator, out: *mut Reply) -> St
     unsafe { vpc_operator_ask(operator, Action::Arm.code(), 0, 0, PATIENCE_NS, out) }
 }
 
-/// Arms in spite of a stop or a disarm, the `veto` of a reply or a cycle that the operator has seen.
-/// Refused if another came since. A program that arms by itself names the one that stood when it
-/// was started.
+/// Arms in spite of a stop or a disarm, the `veto` of a reply or a cycle that the operator has
+/// seen. Refused if another came since. A program that arms by itself names the one that stood when
+/// it was started.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn vpc_arm_despite(
     operator: *mut Operator,
